@@ -27,9 +27,9 @@ from numpy.typing import NDArray
 from pmabench.store.records import Array
 
 SCATTER = 0.02
-"""Relative scatter of each coefficient between trials where no repeats show it; muscles show 0.3 to 2 %."""
+"""Relative scatter of each coefficient between trials before anything is fitted; muscles show 0.3 to 2 %."""
 FEWEST_FREEDOM = 10
-"""Degrees of freedom among repeats from which on their scatter is used instead of `SCATTER`."""
+"""Degrees of freedom among repeats from which on scatter is told from a wrong form."""
 NORMAL = 1.96
 """Half width of a 95 % interval over the standard deviation."""
 LEAST, MOST = 1e-5, 0.2
@@ -354,10 +354,12 @@ def propose(
     design: Design, aim: Aim, field: Field, counts: Array, number: int, here: float | None, *, most: int,
     seconds: float = np.inf,
 ) -> list[Step]:  # fmt: skip
-    """At most `most` successive trials within `seconds` [s]; fewer where all goals are reached."""
+    """At most `most` successive trials within `seconds` [s]; fewer where all goals are reached, each load and pressure
+    tested once.
+    """
     target = fewest(design, aim, counts, field.reference)
     counts, steps, spent = counts.copy(), list[Step](), 0.0
-    while len(steps) < most and not aim.reached(design.variances(counts)).all():
+    while len(steps) < most and (len(_uncovered(field, counts)) or not aim.reached(design.variances(counts)).all()):
         choice = choose(design, aim, field, counts, target, number + len(steps), here)
         spent += float(field.cost(here)[choice.cell])
         if spent > seconds:

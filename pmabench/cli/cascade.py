@@ -65,7 +65,7 @@ def simulate(ui: Ui, file: str, out: Path | None, moments: tuple[str, ...], *, p
     else:
         course = cascade.simulate(members, times)
     about = fields(plan, "name", "source", "fce_eval") | {"load": plan.load[0]}
-    muscles = [fields(m, "name", "law", "length", "radius", "braid_angle", "assumed") for m in plan.muscles]
+    muscles = [fields(m, "name", "law", "length", "radius", "braid_angle") for m in plan.muscles]
     _deliver(ui, result(about, muscles, course, pace_kept), out, at, result_too=True, as_csv=as_csv)
 
 

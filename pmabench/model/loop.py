@@ -170,28 +170,6 @@ def dead_time_for(period: float, lags: tuple[complex, ...]) -> float:
     return (pi - Loop(1.0, 0.0, lags).phase_lag(omega)) / omega
 
 
-def mode(loop: Loop, gain: float) -> complex:
-    """Slowest oscillating root s [1/s] of 1 + K_p G(s) = 0 for the proportional `gain` K_p [Pa/m].
-
-    Newton's method on ln(K_p G(s)) + j pi = 0, followed from j omega_u in steps of 5 % of gain.
-    """
-    found = ultimate(loop)
-    steps = max(1, int(np.ceil(abs(np.log(gain / found.gain)) / 0.05)))
-    s = 2j * pi / found.period
-    for K_p in np.geomspace(found.gain, gain, steps + 1)[1:]:
-        for _ in range(20):
-            value = np.log(K_p * loop.gain) + 1j * pi - loop.dead_time * s
-            slope = complex(-loop.dead_time)
-            for lag in loop.lags:
-                value -= np.log(1 + lag * s)
-                slope -= lag / (1 + lag * s)
-            step = complex(value / slope)
-            s -= step
-            if abs(step) < 1e-12 * abs(s):
-                break
-    return complex(s)
-
-
 @dataclass(frozen=True)
 class Controller:
     """A PID controller in ideal form: C(s) = K_p (1 + 1/(T_i s) + T_d s / (1 + T_d s / filter))."""

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal, cast
 
-from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema
+from pydantic import AfterValidator, Field, WithJsonSchema
 
 from pmabench.base.errors import InvalidFile, Problem, did_you_mean
 from pmabench.base.quantities import show
 from pmabench.bench.plant import read_plant
 from pmabench.files.document import Document, Location, Strict, read_document, validate
-from pmabench.files.quantity import Frequency, Length, Load, Pressure, Time, parse_quantity
+from pmabench.files.quantity import Frequency, Load, Pressure, Time
 from pmabench.model.cascade import Member, PlantMuscle, PrintedMuscle, Step
 from pmabench.model.library.coefficients import DMSP_ANGLE, DMSP_LENGTH, DMSP_PRESSURE, DMSP_RADIUS
 from pmabench.model.muscle import Muscle
@@ -31,7 +31,7 @@ HIGHEST = 600e3
 """Highest pressure of the presets [Pa]."""
 DMSP = "dmsp-40-305"
 PLANT_RADIUS, PLANT_ANGLE = 0.010, math.radians(25)
-"""Assumed radius [m] and braid angle [rad] of other plants in the drawing, where the file gives none."""
+"""Radius [m] and braid angle [rad] with which other plants are drawn."""
 NAME = "[A-Za-z0-9][A-Za-z0-9 _.-]{0,39}"
 
 
@@ -42,20 +42,6 @@ def _plain(name: str) -> str:
 
 
 Name = Annotated[str, AfterValidator(_plain), WithJsonSchema({"type": "string", "pattern": f"^{NAME}$"})]
-Angle = Annotated[
-    float,
-    BeforeValidator(lambda value: parse_quantity(value, "angle")),
-    WithJsonSchema({"type": "string", "description": "angle with its unit", "examples": ["25 deg"]}),
-]
-
-
-def _shape(low: float, high: float, quantity: str) -> AfterValidator:
-    def check(value: float) -> float:
-        if not low <= value <= high:
-            raise ValueError(f"{show(value, quantity)} is outside {show(low, quantity)} to {show(high, quantity)}")
-        return value
-
-    return AfterValidator(check)
 
 
 class PressureStep(Strict):
@@ -78,10 +64,6 @@ class MuscleFile(Strict):
     delay: Time = 0.0
     stagger: Time = 0.0
     pressure: Annotated[list[PressureStep], Field(min_length=1, max_length=1000)]
-    radius: Annotated[Length, _shape(1e-3, 0.2, "length")] | None = None
-    """Radius of the uncontracted muscle, for the drawing."""
-    braid_angle: Annotated[Angle, _shape(math.radians(10), math.radians(54), "angle")] | None = None
-    """Braid angle to the axis of the uncontracted muscle, for the drawing."""
 
 
 class CascadeFile(Strict):
@@ -108,8 +90,6 @@ class ChainMuscle:
     length: float
     radius: float
     braid_angle: float
-    assumed: tuple[str, ...]
-    """Parts of its shape that are assumed because the file does not give them."""
     setup: Setup | None
     """The plant; None for the printed model."""
     load: tuple[float, float]
@@ -294,15 +274,13 @@ class _Reading:
         begin = muscle.delay + number * muscle.stagger
         dmsp = DMSP in (muscle.model, muscle.plant)
         radius, angle = (DMSP_RADIUS, DMSP_ANGLE) if dmsp else (PLANT_RADIUS, PLANT_ANGLE)
-        said = {"radius": muscle.radius is not None or dmsp, "braid_angle": muscle.braid_angle is not None}
         return ChainMuscle(
             name=name if muscle.name is None or muscle.count == 1 else f"{name} {number + 1}",
             law=law.name,
             steps=tuple(Step(round(begin + step.at, 9), step.to) for step in muscle.pressure),
             length=law.length,
-            radius=radius if muscle.radius is None else muscle.radius,
-            braid_angle=angle if muscle.braid_angle is None else muscle.braid_angle,
-            assumed=tuple(key for key, known in said.items() if not known),
+            radius=radius,
+            braid_angle=angle,
             setup=law.setup,
             load=load,
             fce_eval=self.file.fce_eval or "x0",

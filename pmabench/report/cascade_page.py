@@ -92,8 +92,7 @@ def page(result: Result, drawn: Sequence[Drawn], moments: Sequence[float]) -> st
                 "pressure": show(max(link.pressure), "pressure", 4),
                 "most": f"{show(max(link.displacement), 'length', 4)}, "
                 f"{100 * max(link.displacement) / link.length:.1f} %",
-                "shape": f"radius {show(link.radius, 'length')}, braid {degrees(link.braid_angle):.1f} deg"
-                + (f" ({' and '.join(link.assumed).replace('_', ' ')} assumed)" if link.assumed else ""),
+                "shape": f"radius {show(link.radius, 'length')}, braid {degrees(link.braid_angle):.1f} deg",
             }
             for link in result.muscles
         ],

@@ -36,7 +36,6 @@ class Link(_Strict):
     length: Positive
     radius: Positive
     braid_angle: Annotated[float, Field(gt=0, lt=math.pi / 2)]
-    assumed: list[str]
     pressure: Column
     displacement: Column
     force_ce: Column

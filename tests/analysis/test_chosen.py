@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os import cpu_count
 
 import numpy as np
@@ -20,6 +20,7 @@ from pmabench.kinds.contraction_relaxation.next_trial import Chooser
 from pmabench.kinds.contraction_relaxation.predicted import cells_of
 from pmabench.store.records import Array
 from tests.analysis import test_contraction_sensors as sensors
+from tests.analysis import test_joined_days as joined
 from tests.analysis.chosen import LINES, SMALL, WHOLE, Campaign, Scatter, chosen, grid, plan, run_of, scatter
 from tests.judge.muscle import Muscle
 
@@ -158,9 +159,8 @@ def test_a_wrong_form_stops_it_and_nothing_is_promised() -> None:
     assert bent.stop.why.startswith("nothing is promised"), bent.stop.why
 
 
-def test_a_goal_is_not_called_out_of_reach_by_an_assumed_scatter() -> None:
-    """One trial in each cell: K "has 5.1 %" and was out of reach of 0.6 %, which further trials came near."""
-    cells = sensors.CELLS
+def plan_of(cells: Sequence[tuple[float, float]]) -> dict[str, object]:
+    """A plan of one trial in each cell."""
     trials: list[dict[str, object]] = []
     steps: list[dict[str, object]] = []
     for index, (load, P) in enumerate(cells):
@@ -171,12 +171,38 @@ def test_a_goal_is_not_called_out_of_reach_by_an_assumed_scatter() -> None:
         for level in np.arange(P, -1.0, -1e5):
             steps += [{"step": "set", "output": "pressure", "value": float(level)}, {"step": "hold", "duration": 2.5}]
         steps.append({"step": "record", "trial": index, "on": False})
-    plan = {"name": "plan", "trials": trials, "steps": steps, "settings": {}}
+    return {"name": "plan", "trials": trials, "steps": steps, "settings": {}}
+
+
+def test_a_goal_is_not_called_out_of_reach_by_an_assumed_scatter() -> None:
+    """One trial in each cell: K "has 5.1 %" and was out of reach of 0.6 %, which further trials came near."""
 
     def scattered(name: str, values: Array, chance: np.random.Generator) -> Array:
         """The muscle pulls by half a percent more or less in each trial."""
         return values + 1.5e3 * chance.standard_normal() if name == "pressure" else values
 
     run = sensors.recorded(read_as=scattered)
-    found = Chooser(plan, None, (Goal("K", 0.006, relative=True),)).propose([run], 4)
+    found = Chooser(plan_of(sensors.CELLS), None, (Goal("K", 0.006, relative=True),)).propose([run], 4)
     assert (found.why, found.beyond, len(found.steps)) == ("", (), 4)
+
+
+def test_what_no_trial_narrows_is_out_of_reach() -> None:
+    """0.34 N of F_c are a backlash that nothing declares: 0.1 N was promised after some trials."""
+    run = joined.day(0, friction=14.0)
+    found = Chooser(plan_of(joined.CELLS), None, (Goal("F_c", 0.1, relative=False),)).propose([run], 4)
+    assert (found.why, len(found.beyond)) == ("out of reach", 1)
+
+
+def test_a_pressure_without_a_trial_is_predicted_with_the_scatter_that_was_fitted() -> None:
+    """An assumed scatter of 2 % made "14 % to 18 %" of what came out at 0.3 %."""
+    run, goals = sensors.recorded(), (Goal("K", 0.02, relative=True),)
+    plan, known = plan_of(sensors.CELLS), [trial for trial in run.trials if trial.point["pressure"] != 3e5]
+    found = Chooser(plan, None, goals).propose([replace(run, trials=tuple(known))], 4)
+    assert found.steps
+    assert all("first trial" in text for text, _ in found.lines)
+    added = {found.cells[step.choice.cell].trials[0] for step in found.steps}
+    done = known + [trial for trial in run.trials if trial.index in added]
+    after = known_after(cells_of(plan), goals, [replace(run, trials=tuple(done))], None)
+    assert after is not None
+    came = max(e.parts.combined / (0.02 * e.value) for (symbol, _), e in after.reported.items() if symbol == "K")
+    assert found.steps[-1].worst / 3 < came < 1.5 * found.steps[-1].worst

@@ -302,7 +302,7 @@ def test_a_step_below_1_bar_is_dropped_with_the_reason():
 
 def test_an_order_that_the_pressures_do_not_bear_is_reported():
     analysis = reduce([single_steps(PRESSURES[:4], orders={"K": 6})])
-    assert any("order 6 through K" in f.text and "needs 7 pressures, there are 4" in f.text for f in analysis.findings)
+    assert any("order 6 through K" in f.text and "needs 8 pressures, there are 4" in f.text for f in analysis.findings)
     assert [c.form for c in analysis.curves if (c.symbol, c.method) == ("K", METHODS["x0"])] == ["line"]
 
 

@@ -11,7 +11,6 @@ import pytest
 
 from pmabench.engine.laws.relay import Relay
 from pmabench.kinds.ultimate_gain.reduction import reduce
-from pmabench.kinds.ultimate_gain.relay import examine
 from pmabench.kinds.ultimate_gain.ways import findings as ways
 from pmabench.store.analyses.results import Analysis
 from pmabench.store.records import TrialData
@@ -68,15 +67,6 @@ def test_the_describing_function_is_what_its_equation_gives_for_a_linear_loop() 
     K_u, T_u = theory(1.466e-7, 0.041, 0.0955, 0.247)
     assert reported["K_u", "relay-describing-function"] == pytest.approx(K_u, rel=0.10)
     assert reported["T_u", "relay-describing-function"] == pytest.approx(T_u, rel=0.05)
-
-
-def test_an_asymmetric_relay_gives_the_static_gain_of_a_linear_loop() -> None:
-    plant = LinearPlant(1.466e-7, 0.04, (0.0955, 0.247))
-    trial = swing(plant, 0.0, 0.0, asymmetry=0.4)
-    found = examine(as_run("ultimate-gain", [trial]), trial, trial.found["ultimate-gain"])
-    assert found.best is not None
-    assert found.best.static == pytest.approx(1.466e-7, rel=0.05)
-    assert "static gain" in texts(reduce([as_run("ultimate-gain", [trial])]), "note")
 
 
 def seen_as_stiction(trial: TrialData) -> bool:

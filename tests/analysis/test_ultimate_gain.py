@@ -78,7 +78,6 @@ def test_like_damping_gives_the_phase_equations_values(T_r: float) -> None:
     for estimate, truth in ((gain, K_u), (period, T_u)):
         assert estimate.ci95 is not None
         assert estimate.ci95[0] < truth < estimate.ci95[1]
-        assert estimate.corrected
         assert estimate.parts.repeats is not None
         assert estimate.parts.method is not None
     assert (gain.unit, period.unit) == ("Pa/m", "s")
@@ -124,13 +123,6 @@ def test_paper_0s_numbers_come_out_of_the_plant_that_has_them() -> None:
     assert period.value == pytest.approx(9.0, rel=0.01)
 
 
-def test_the_loop_behind_is_identified() -> None:
-    (loop,) = reduce([as_run("ultimate-gain", [clean()[0]])]).facts["loops"]
-    assert loop["gain"] * 1e6 == pytest.approx(0.1466, rel=0.05)
-    assert loop["dead_time"] == pytest.approx(0.041, abs=1e-3)
-    assert sorted(loop["lags"])[-2:] == pytest.approx([0.0955, 0.247], rel=0.06)
-
-
 def test_settings_of_every_rule_are_next_to_it() -> None:
     trial, K_u, T_u = clean()
     settings = reduce([as_run("ultimate-gain", [trial])]).facts["tuning"]
@@ -138,7 +130,6 @@ def test_settings_of_every_rule_are_next_to_it() -> None:
     assert chosen["gains"]["K_p"]["value"] == pytest.approx(0.45 * K_u, rel=0.02)
     assert chosen["gains"]["T_i"]["value"] == pytest.approx(T_u / 1.2, rel=0.01)
     assert chosen["at"]["setpoint"] == 0.03
-    assert 1.5 < chosen["margins"]["gain_margin"] < 1.9
 
 
 def test_repeats_are_pooled_and_calibration_counts() -> None:
@@ -219,7 +210,6 @@ def test_the_command_is_worked_out_where_it_was_not_recorded() -> None:
     assert np.median(off[np.isfinite(off)]) < 1.0
     blind = {name: column for name, column in silent.items() if name != "pressure"}
     gain, _ = pair(reduce([as_run("ultimate-gain", [replace(trial, channels=blind)])]))
-    assert gain.parts.method is None
     assert gain.value == pytest.approx(clean()[1], rel=0.03)
 
 

@@ -93,8 +93,6 @@ def test_every_problem_comes_at_once_with_its_place(tmp_path):
         (HEAD + MUSCLE + "    count: 50\n    stagger: 0.2 s\n", 8, "the last of them comes at 9.8 s"),
         (HEAD + MUSCLE + "    delya: 1 s\n", 9, 'unknown key "delya"; did you mean "delay"'),
         (HEAD + MUSCLE.replace("6 bar", "6"), 8, "needs a unit"),
-        (HEAD + MUSCLE + "    radius: 3 m\n", 9, "outside 1 mm to 200 mm"),
-        (HEAD + MUSCLE + "    braid_angle: 60 deg\n", 9, "outside 10 deg to 54 deg"),
         (HEAD + (MUSCLE + "    name: a\n") * 2, 12, 'a second muscle is called "a"'),
         (HEAD + MUSCLE + '    name: "=cmd"\n', 9, "a name begins with a letter or digit"),
         (HEAD + MUSCLE + "    count: 101\n", 9, "100"),

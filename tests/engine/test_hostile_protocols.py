@@ -181,7 +181,6 @@ SETTINGS = {
             st.floats(-5, 400).map(lambda v: f"[{v:.4g} kPa, {2 * v:.4g} kPa]"),
         ),
         "trial.relay.hysteresis": st.floats(-1, 8).map(lambda v: f"[{v:.3g} mm, {2 * v:.3g} mm]"),
-        "trial.relay.asymmetry": st.floats(-2, 2).map(lambda v: f"{v:.3g}"),
         "trial.relay.window": length,
     },
     "free-contraction": {

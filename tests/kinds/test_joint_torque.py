@@ -13,8 +13,7 @@ from pmabench.bench.compile import mount
 from pmabench.engine.operator import ConfirmedBeforehand
 from pmabench.engine.run import run_plan
 from pmabench.kinds.compile import make_plan
-from pmabench.kinds.joint_torque.figures import maps, measure
-from pmabench.kinds.joint_torque.reduction import reduce
+from pmabench.kinds.joint_torque.reduction import maps, one_trial, reduce
 from pmabench.store.reader import open_run
 from tests.kinds import joint_plant
 from tests.kinds.joint_plant import Faults, force_by_pressure, stiffness, torque
@@ -115,7 +114,7 @@ def test_the_display_and_the_figure_show_the_map(whole, tmp_path):
     assert "6 of 9 are shown" in drawn.caption
     plan = compiled(("sweep.matrix.pressure_1", "[300 kPa]"), ("sweep.matrix.pressure_2", "[300 kPa]"))
     run = open_run(run_plan(plan, bench(), ConfirmedBeforehand(), out=tmp_path).folder)
-    found, doubts = measure(run, run.trials[0], None, Quick())
+    found, doubts = one_trial(run, run.trials[0], None, Quick())
     assert [round(one.value, 1) for one in found] == [15.5, 3.0]
     assert doubts == []
 

@@ -14,7 +14,6 @@ from pmabench.model.loop import (
     Loop,
     dead_time_for,
     margins,
-    mode,
     muscle_loop,
     sensitivity,
     set_point_step,
@@ -104,16 +103,6 @@ def test_mass_adds_a_lag_and_may_make_a_pair_complex() -> None:
     assert complex(ringing.response(s)) == pytest.approx(complex(expected))
     assert ringing.phase_lag(10.0) % (2 * pi) == pytest.approx(-np.angle(expected) % (2 * pi))
     assert ultimate(ringing).gain > 0
-
-
-def test_mode_solves_the_characteristic_equation() -> None:
-    loop = Loop(1.5e-7, 0.041, (0.0955, 0.247))
-    found = ultimate(loop)
-    assert mode(loop, found.gain) == pytest.approx(2j * pi / found.period)
-    for factor in (0.6, 0.9, 1.2):
-        s = mode(loop, factor * found.gain)
-        assert abs(1 + factor * found.gain * complex(loop.response(s))) < 1e-9
-        assert (s.real > 0) == (factor > 1)
 
 
 def test_margins_of_a_proportional_loop() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -294,13 +294,9 @@ class Served:
     def state(self) -> dict[str, Any]:
         """The state of the plant, in SI, despite errors of its link and sensors."""
         simulation = self._bench.simulation()
-        faults = {item.name: getattr(simulation.faults, item.name) for item in fields(o.Faults)}
         return {
-            "t": time.monotonic(),
             "pressure": simulation.pressure,
             "setpoints": {name: simulation.setpoint(name) for name in self._outputs},
             "energised": simulation.energised,
-            "watchdog": self._watchdog,
             "fired": self._fired,
-            "faults": {name: at for name, at in faults.items() if at is not None},
         }

@@ -37,7 +37,6 @@ import sys
 import time
 from contextlib import suppress
 from dataclasses import asdict
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pmabench.base.clock import RealClock
@@ -251,15 +250,14 @@ class Server:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Serve the device of standard input, or of a file; returns the exit code."""
+    """Serve the device of standard input; returns the exit code."""
     parser = argparse.ArgumentParser(prog="pmabench_drivers.mock.server", description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--address", required=True, help="127.0.0.1:PORT")
-    parser.add_argument("--record", type=Path, help="file with the device's JSON; standard input by default")
     parser.add_argument("--detach", action="store_true", help="return when the plant is there; it lives on by itself")
     given = parser.parse_args(arguments)
     real_time(ENGINE)  # a real device does not wait for other programs either
     try:
-        device = _read(given.record)
+        device = _read()
         listener = _listen(device, given.address)
         if given.detach:
             if os.fork():
@@ -276,15 +274,11 @@ def main(arguments: list[str] | None = None) -> int:
     return 0
 
 
-def _read(path: Path | None) -> DeviceRecord:
-    where = path or "standard input"
+def _read() -> DeviceRecord:
     try:
-        text = path.read_text(encoding="utf-8") if path else sys.stdin.read()
-        return device_from(json.loads(text))
-    except OSError as error:
-        raise invalid(where, f"cannot be read: {error.strerror}") from error
+        return device_from(json.load(sys.stdin))
     except (ValueError, TypeError, KeyError) as error:
-        raise invalid(where, f"is no device record in JSON ({type(error).__name__}: {error})") from error
+        raise invalid("standard input", f"is no device record in JSON ({type(error).__name__}: {error})") from error
 
 
 def _listen(device: DeviceRecord, address: str) -> socket.socket:

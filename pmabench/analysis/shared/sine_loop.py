@@ -270,7 +270,7 @@ class Waves:
 
     def slope(self) -> Array:
         """Derivative [1/s times the unit of y], shape (n,)."""
-        return self._sum(1j * self._k * self._amplitude)
+        return self._sum(np.asarray(1j * self._k * self._amplitude, dtype=np.complex128))
 
     def _sum(self, amplitude: NDArray[np.complex128]) -> Array:
         return np.asarray(self._waves @ np.concatenate([amplitude.real, -amplitude.imag]))

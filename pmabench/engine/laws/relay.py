@@ -13,7 +13,6 @@ from typing import Any, ClassVar
 
 from pmabench.engine.laws import refuse_wrong
 
-MOST_ASYMMETRY = 0.5
 FOUND = "levels"
 REASONS = {
     "window": "the position left its window",
@@ -30,8 +29,8 @@ class Relay:
     """Relay with hysteresis about the position at which the bias holds the muscle (Astrom and Hagglund 1984).
 
     First the command stays at the bias until the muscle rests; the mean over the second half of that time is the
-    centre. Then, level by level, the command is bias + d (1 + asymmetry) until y is above centre + h, and
-    bias - d (1 - asymmetry) until y is below centre - h. Each level has its own d and h.
+    centre. Then, level by level, the command is bias + d until y is above centre + h, and bias - d until y is below
+    centre - h. Each level has its own d and h.
 
     Parameters
     ----------
@@ -43,7 +42,6 @@ class Relay:
     periods : whole periods of a level
     level_time : longest time of a level [s]
     settle : time at the bias before the first level [s]
-    asymmetry : 0 for a symmetric relay, at most 0.5
     channel : measured channel
     window : distance from the set-point that ends the search [m]
     watched : channel -> lowest and highest value [SI]; leaving it ends the search
@@ -61,22 +59,19 @@ class Relay:
     level_time: float
     settle: float
     window: float
-    asymmetry: float = 0.0
     channel: str = "displacement"
     watched: Mapping[str, Sequence[float]] | None = None
 
     def __post_init__(self) -> None:
-        bias, low, high, most = self.bias, self.low, self.high, MOST_ASYMMETRY
-        up, down = 1 + self.asymmetry, 1 - self.asymmetry
+        bias, low, high = self.bias, self.low, self.high
         sizes = (*self.amplitudes, *self.hysteresis)
         refuse_wrong(
             (
                 len(self.amplitudes) == len(self.hysteresis) >= 1 and min(sizes) > 0,
                 "amplitudes and hysteresis must be as many, at least one each, and above 0",
             ),
-            (0 <= self.asymmetry <= most, f"asymmetry must be 0 to {most:g}, not {self.asymmetry:g}"),
             (
-                all(low <= bias - d * down and bias + d * up <= high for d in self.amplitudes),
+                all(low <= bias - d and bias + d <= high for d in self.amplitudes),
                 f"bias {bias:g} with an amplitude leaves the range of the command, {low:g} to {high:g}",
             ),
             (all(self.window > h for h in self.hysteresis), "window must be larger than every hysteresis"),
@@ -132,8 +127,7 @@ class Relay:
     def _set(self, t: float) -> None:
         """Command the value of the relay's state, and note the time."""
         level = self._levels[-1]
-        share = 1 + self.asymmetry if self._up else self.asymmetry - 1
-        self._command = min(max(self.bias + level["amplitude"] * share, self.low), self.high)
+        self._command = min(max(self.bias + level["amplitude"] * (1 if self._up else -1), self.low), self.high)
         level["switches"].append([t, self._command])
 
     def _switch(self, t: float, y: float) -> None:
@@ -175,7 +169,6 @@ class Relay:
             "bias": self.bias,
             "low": self.low,
             "high": self.high,
-            "asymmetry": self.asymmetry,
             "command": self._command,
         }
         if not found:

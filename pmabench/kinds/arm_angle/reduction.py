@@ -259,9 +259,9 @@ def _zero(one: Loaded, slope: float) -> Doubt:
     return Doubt("zero of the pressure", "calibration", abs(slope * one.zero), one.zero < 0, one.zero_off)
 
 
-def _apart(one: Loaded, share: float = 1.0) -> Doubt:
-    """Effect of the angle's zero error on a value that changes by `share` per radian of reading."""
-    return Doubt("zero of the angle against the displacement", "calibration", abs(share * one.apart), seen=False)
+def _apart(one: Loaded) -> Doubt:
+    """Effect of the angle's zero error on an angle."""
+    return Doubt("zero of the angle against the displacement", "calibration", abs(one.apart), seen=False)
 
 
 def _steps(half: float) -> Doubt:

@@ -102,6 +102,8 @@ BLURRED = 0.75
 FEWEST = 20
 STEPS, NUDGE, GAIN = 100, 1.5e-8, 1e-10
 """Gauss-Newton: most steps, relative difference for derivatives, relative fall of the sum of squares that ends it."""
+ROUGH = 1e-5
+"""That fall where it is asked only whether there is a second lag."""
 
 
 @dataclass(frozen=True)
@@ -153,8 +155,11 @@ def response(t: Array, y: Array) -> Response | None:
     one = _fitted(t, y, 1)
     if one is None:
         return None
+    two = _fitted(t, y, 2, ROUGH)
+    if two is None or two.aicc > one.aicc - FALL:
+        return one
     two = _fitted(t, y, 2)
-    return one if two is None or two.aicc > one.aicc - FALL else replace(two, single=one)
+    return one if two is None else replace(two, single=one)
 
 
 def step(since: Array, times: Sequence[float]) -> Array:
@@ -166,8 +171,8 @@ def step(since: Array, times: Sequence[float]) -> Array:
     return np.asarray(1 - (T_1 * np.exp(-s / T_1) - T_2 * np.exp(-s / T_2)) / (T_1 - T_2))
 
 
-def _fitted(t: Array, y: Array, lags: int) -> Response | None:
-    """Best fit with `lags` lags; unknowns: end value, dead time, ln of each lag."""
+def _fitted(t: Array, y: Array, lags: int, gain: float = GAIN) -> Response | None:
+    """Best fit with `lags` lags, until it gains less than `gain`; unknowns: end value, dead time, ln of each lag."""
     risen = np.flatnonzero(y > 0.632)
     if len(t) < FEWEST or not len(risen):
         return None
@@ -183,7 +188,7 @@ def _fitted(t: Array, y: Array, lags: int) -> Response | None:
         return np.asarray(z[0] * step(t, times(z)) - y)
 
     with np.errstate(all="ignore"):  # a trial step far from the solution may overflow; it is rejected
-        found, slope = _least(missed, np.array(start))
+        found, slope = _least(missed, np.array(start), gain)
     n, p = len(t), lags + 3
     power = max(float(np.sum(missed(found) ** 2)), 1e-18 * n)
     values = times(found)
@@ -196,8 +201,9 @@ def _fitted(t: Array, y: Array, lags: int) -> Response | None:
     return Response(values, tuple(errors.tolist()), sqrt(power / n), aicc(power / n, n, p))
 
 
-def _least(missed: Callable[[Array], Array], z: Array) -> tuple[Array, Array]:
-    """Unknowns with the least sum of squares of `missed` near z, and the Jacobian there, by damped Gauss-Newton.
+def _least(missed: Callable[[Array], Array], z: Array, least: float) -> tuple[Array, Array]:
+    """Unknowns with the least sum of squares of `missed` near z, and the Jacobian there, by damped Gauss-Newton,
+    until a step lessens it by a smaller share than `least`.
 
     Written here because importing `scipy.optimize` takes longer than a whole reduction.
     """
@@ -219,7 +225,7 @@ def _least(missed: Callable[[Array], Array], z: Array) -> tuple[Array, Array]:
             break
         gain = 1 - (new @ new) / (left @ left)
         z, left = z + move, new
-        if gain < GAIN:
+        if gain < least:
             break
     return z, slope
 

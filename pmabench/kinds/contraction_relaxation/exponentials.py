@@ -119,16 +119,17 @@ def steps_of(samples: Samples, trial: TrialData, lift: float) -> list[Step]:
     result = []
     commands = [c for c in trial.commands if c.output == "pressure" and c.phase in ("contract", "relax", "vent")]
     ends = [*(c.t for c in commands[1:]), float(samples.t[-1]) + 1e-9]
+    t, x = samples.t[samples.ok], samples.x[samples.ok]
     for command, end in zip(commands, ends, strict=False):
-        rows = np.flatnonzero((samples.t >= command.t - 1e-9) & (samples.t < end - 1e-9) & samples.ok)
-        before = (samples.t < command.t + 1e-9) & (samples.t > command.t - 0.2) & samples.ok
-        if len(rows) < 50 or not before.any() or command.phase == "vent":
+        first, last = np.searchsorted(t, (command.t - 1e-9, end - 1e-9)).tolist()
+        before = x[slice(*np.searchsorted(t, (command.t - 0.2, command.t + 1e-9), side="right"))]
+        if last - first < 50 or not len(before) or command.phase == "vent":
             continue
-        x = samples.x[rows]
-        start, last = float(np.mean(samples.x[before])), float(np.mean(x[-len(x) // 20 :]))
-        if abs(last - start) < LEAST_STEP or last < lift:
+        mine = x[first:last]
+        start, rest = float(np.mean(before)), float(np.mean(mine[-len(mine) // 20 :]))
+        if abs(rest - start) < LEAST_STEP or rest < lift:
             continue
-        found = exponential(samples.t[rows] - command.t, x, start)
+        found = exponential(t[first:last] - command.t, mine, start)
         if found is not None:
             result.append(Step(samples.trial, command.phase, samples.load, command.value, found))
     return result

@@ -25,7 +25,7 @@ from pmabench.analysis.shared.form import more_than_squares
 from pmabench.analysis.shared.samples import LEAST_MOTION, Noise
 from pmabench.analysis.shared.trials import compared
 from pmabench.base.quantities import show
-from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Fit, rms_of
+from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Fit, noise_covariance, rms_of
 from pmabench.kinds.contraction_relaxation.segments import CHANNELS, Campaign, Segments, resting
 from pmabench.store.analyses.results import Parts, Source
 from pmabench.store.records import Array, RunData, TrialData
@@ -338,7 +338,8 @@ def assess(
     unsure = 2.0 * spread / np.sqrt(max(1, len(replays)))
     expected = rms_of(noise)
     more = max(1.0, fit.rms / expected)
-    covariance = more**2 * _covariance(fit, noise) + fit.shared(segments, campaign.noise)
+    after = noise_covariance(segments, fit, campaign.noise)[1]
+    covariance = more**2 * _covariance(fit, noise) + fit.shared(after)
     analytic = np.diag(covariance)
     seen = analytic
     if len(replays) > 1:
@@ -446,4 +447,5 @@ def _zero_by_session(campaign: Campaign, segments: Segments, fit: Fit, expected:
 def _off(segments: Segments, fit: Fit, channel: str, gain: float, offset: float | Array, expected: float) -> Array:
     """Theta of the fit where a channel reads (1 + gain) times as much, plus `offset` [SI], one or (n,)."""
     begun = fit.followed(gain, float(np.mean(offset))) if channel == "pressure" else fit
-    return begun.again(segments.shifted(channel, gain, offset), expected).theta
+    shifted = segments.shifted(channel, gain, offset)
+    return begun.again(shifted, expected, fit.shifted(channel, gain, offset)).theta

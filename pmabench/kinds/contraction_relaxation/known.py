@@ -13,7 +13,7 @@ import numpy as np
 from pmabench.analysis.next_trial import FEWEST_FREEDOM, NORMAL, SCATTER, SWEEP, Aim, Goal, scatter_like
 from pmabench.analysis.shared.samples import NotUsable
 from pmabench.kinds.contraction_relaxation import predicted
-from pmabench.kinds.contraction_relaxation.intervals import Pooled
+from pmabench.kinds.contraction_relaxation.intervals import CORRECTED, Pooled
 from pmabench.kinds.contraction_relaxation.pooled import design_of, rms_of
 from pmabench.kinds.contraction_relaxation.reduction import estimates_of, pool, withheld
 from pmabench.kinds.contraction_relaxation.segments import Gate, cut, gather
@@ -25,6 +25,8 @@ NOISE = 1e-3
 
 BY_CHANCE = 2.326
 """Standard deviations of a one-sided probability of 1 in 100, from which on a misfit is taken as certain."""
+NARROWED = ("that the fit does not exclude", CORRECTED)
+"""Ends of names of sources of the method part that further trials narrow."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,10 +131,9 @@ def _measured(cells: Sequence[predicted.Cell], goals: Sequence[Goal], pooled: Po
     seen = seen.without({predicted.cell_key(trial.point) for trial in campaign.trials} - moved)
     repeats = {name: e.parts.repeats or 0.0 for name, e in reported.items()}
     halves = np.array([repeats.get(name, 0.0) for name in seen.names])
-    whole, share = predicted.scattered(pooled.fit, 1.0), SCATTER
-    if freedom >= FEWEST_FREEDOM:
-        alike = replace(seen.design, wanted=seen.design.wanted[halves > 0], between=whole)
-        share = scatter_like(alike, seen.counts(trials), halves[halves > 0], SCATTER)
+    whole = predicted.scattered(pooled.fit, 1.0)
+    alike = replace(seen.design, wanted=seen.design.wanted[halves > 0], between=whole)
+    share = scatter_like(alike, seen.counts(trials), halves[halves > 0], SCATTER)
     design = replace(seen.design, between=share**2 * whole)
     found = _with_goals(replace(seen, design=design), goals, reported, pooled)
     gone = [e for e in reported.values() if e.withheld and (e.symbol, e.at.get("pressure", 0.0)) in found.outlook.names]
@@ -162,12 +163,18 @@ def _with_goals(
     trials = [pooled.campaign.trials[number] for number in np.unique(pooled.segments.trial)]
     spread = np.sqrt(seen.design.variances(found.counts(trials)))
     for number, name in enumerate(seen.names):
-        parts = found.parts(name)
-        if half := parts.combined:
-            fixed = sum((part or 0.0) ** 2 for part in (parts.calibration, parts.skew))
-            rest[number] = sqrt(min(fixed, half**2))
+        if half := found.parts(name).combined:
+            rest[number] = sqrt(min(fixed(found.reported[name]), half**2))
             factor[number] = sqrt(half**2 - rest[number] ** 2) / spread[number]
     return found
+
+
+def fixed(e: Estimate) -> float:
+    """Square of the half width [SI] by what no further trial narrows: what is declared of sensors and clocks, and lines
+    between pressures. Scatter and departures that few trials do not exclude become smaller.
+    """
+    lasting = (s for s in e.budget if s.kind == "B" and s.part != "repeats" and not s.name.endswith(NARROWED))
+    return sum((source.half or 0.0) ** 2 for source in lasting)
 
 
 def missed_by(before: Known, fitted: Sequence[TrialData], runs: Sequence[RunData]) -> float:

@@ -18,6 +18,7 @@ from pmabench.analysis.next_trial import (
     RANDOM,
     REFERENCE,
     REPEAT,
+    SPREAD,
     SWEEP,
     Choice,
     Field,
@@ -161,7 +162,7 @@ class Chooser:
         if known.misfit and known.sure:
             return Proposal(f"nothing is promised: {known.misfit}")
         beyond = out_of_reach(known.outlook.design, known.aim, counts)
-        if known.freedom < FEWEST_FREEDOM:  # with an assumed scatter, trials may reach what calibration allows
+        if known.freedom < FEWEST_FREEDOM:  # until the scatter is known, trials may reach what calibration allows
             beyond = [n for n in beyond if known.aim.rest[n] > known.aim.goal[n]]
         far = (*(self._of(known, n, counts) for n in beyond), *self._unidentified(known))
         near = known.without(beyond)
@@ -240,7 +241,7 @@ class Chooser:
         goal, rest = float(known.aim.goal[number]), float(known.aim.rest[number])
         half = float(known.halves(counts)[number])
         size, wanted, by_rest = (_size(one, float(known.outlook.values[number])) for one in (half, goal, rest))
-        fixed = f", {by_rest} of it by calibration or skew" if rest > goal else ""
+        fixed = f", {by_rest} of it by calibration, the sensors or their clocks" if rest > goal else ""
         symbol, P = known.outlook.names[number]
         has = "has" if known.parts((symbol, P)).combined else "is expected to have"
         return f"{name_of(symbol, P or None)} {has} {size} where {wanted} is wanted{fixed}"
@@ -401,6 +402,7 @@ ROLES = {
     REFERENCE: "reference trial, for drift",
     RANDOM: "drawn by lot, to show a misfit",
     REPEAT: "once more, to know how trials scatter",
+    SPREAD: "the first trial at this load or pressure",
     CONFIRM: "not in the fit, to confirm the goal",
 }
 

@@ -280,8 +280,8 @@ def _curves(
         scores = compare_orders(P, y)
         given = orders.get(symbol)
         ranked = [given] if given else sorted(scores, key=lambda order: scores[order][0])
-        if given and len(P) <= given:
-            text = f"a polynomial of order {given} through {what} needs {given + 1} pressures, there are {len(P)}"
+        if given and len(P) < given + 2:
+            text = f"a polynomial of order {given} through {what} needs {given + 2} pressures, there are {len(P)}"
             findings.append(Finding("doubt", text))
             ranked = []
         fitted = [c for order in ranked if (c := _sound(known, order, True)) is not None]

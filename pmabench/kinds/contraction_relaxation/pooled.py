@@ -116,9 +116,21 @@ class Fit:
         change = self.change(by[:, None])[:, 0]
         return replace(self, theta=self.theta + change, residual=self.residual + by - self.design @ change)
 
-    def again(self, segments: Segments, noise: float) -> Fit:
-        """The same fit to other segments, with expected noise [N]."""
-        return replace(solve(segments, self.knots, noise), halves=self.halves, added=self.added)
+    def again(self, segments: Segments, noise: float, design: Array | None = None) -> Fit:
+        """The same fit to other segments, with expected noise [N], and their design where it is known."""
+        return replace(solve(segments, self.knots, noise, design), halves=self.halves, added=self.added)
+
+    def shifted(self, channel: str, gain: float, offset: float | Array) -> Array | None:
+        """The design of the same segments if `channel` read (1 + gain) times as much, plus `offset` [SI], one or (n,);
+        None for the pressure, to which it is not in proportion.
+        """
+        if channel == "pressure":
+            return None
+        design, k = self.design.copy(), len(self.knots)
+        if channel == "displacement":
+            design[:, k : 4 * k] *= 1 + gain
+            design[:, k : 2 * k] -= np.asarray(offset)[..., None] * design[:, :k]
+        return design
 
     def followed(self, gain: float, offset: float) -> Fit:
         """The same for a pressure that reads (1 + gain) times as much plus `offset` [Pa]: added knots move, since the
@@ -148,13 +160,14 @@ class Fit:
 
     def scatter(self, segments: Segments, noise: Noise) -> Array:
         """Covariance of theta by this noise of the channels of the segments that were fitted, shape (p, p)."""
-        own, _ = noise_covariance(segments, self, noise)
+        own, after = noise_covariance(segments, self, noise)
         alone = self.inverse @ ((self.design * own[:, None]).T @ self.design) @ self.inverse
-        return np.asarray(alone + self.shared(segments, noise))
+        return np.asarray(alone + self.shared(after))
 
-    def shared(self, segments: Segments, noise: Noise) -> Array:
-        """Part of `scatter` from samples that neighbouring segments share, shape (p, p)."""
-        _, after = noise_covariance(segments, self, noise)
+    def shared(self, after: Array) -> Array:
+        """Part of `scatter` from samples that neighbouring segments share, by the covariance of each with the next (n -
+        1,) [N^2]; shape (p, p).
+        """
         cross = (self.design[1:] * after[:, None]).T @ self.design[:-1]
         return np.asarray(self.inverse @ (cross + cross.T) @ self.inverse)
 
@@ -184,10 +197,11 @@ def place(P: Array, knots: Array) -> tuple[NDArray[np.intp], Array]:
 def spread(at: tuple[NDArray[np.intp], Array], by: Array, k: int) -> Array:
     """Sums over the second axis of by (n, w) times the hat functions of k knots, `at` from `place`; shape (n, k)."""
     left, share = at
-    rows = np.arange(len(left))[:, None] * k + left
-    total = np.bincount(rows.ravel(), (by * (1 - share)).ravel(), len(left) * k).astype(np.float64)
-    total += np.bincount(rows.ravel() + 1, (by * share).ravel(), len(left) * k)
-    return total.reshape(-1, k)
+    rows = (np.arange(len(left))[:, None] * k + left).ravel()
+    whole, further = (np.bincount(rows, each.ravel(), len(left) * k) for each in (by, by * share))
+    whole[:] -= further
+    whole[1:] += further[:-1]
+    return whole.reshape(-1, k).astype(np.float64)
 
 
 def sums_of(segments: Segments, knots: Array) -> dict[str, Array]:
@@ -209,9 +223,9 @@ def design_of(segments: Segments, knots: Array) -> Array:
     return np.hstack([of["F_ce"], -of["K"], -np.where(up, of["B_c"], 0.0), -np.where(up, 0.0, of["B_r"]), -way])
 
 
-def solve(segments: Segments, knots: Array, noise: float) -> Fit:
+def solve(segments: Segments, knots: Array, noise: float, design: Array | None = None) -> Fit:
     """Least squares with the weak prior; `noise` [N] is the expected noise of a segment."""
-    design = design_of(segments, knots)
+    design = design_of(segments, knots) if design is None else design
     friction = bool((segments.way > 0).any() and (segments.way < 0).any())
     if not friction:
         design[:, -1] = 0.0

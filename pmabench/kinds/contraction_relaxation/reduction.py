@@ -52,7 +52,9 @@ AFTER = 0.15
 OF_THE_FORM = (*SYMBOLS, "F_c", "f_b")
 """Symbols whose values depend on the form of the model; times are read directly from the samples."""
 ORDERS = {"F_ce": (1,), "K": (1, 2), "B_c": (1,), "B_r": (1,)}
-"""Orders of curves over pressure that are always given; in addition that which the Akaike criterion chooses."""
+"""Orders of curves over pressure that are given where there are pressures enough; in addition that which the Akaike
+criterion chooses."""
+TWO = "no curve over pressure: a line through two pressures shows nothing of what lies between; add a third pressure"
 
 
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
@@ -96,6 +98,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             *skew.findings(runs, campaign.channels, campaign.skew, every),
             *stepwise.findings,
             *described,
+            *([Finding("note", TWO)] if len(campaign.tested) == 2 else []),
             *reference_findings(runs),
         ),
         traces=checks.overlays(campaign, simulated),

@@ -204,18 +204,18 @@ def cut(stretches: Sequence[Samples], rate: float, gate: Gate) -> Segments:
     group = np.cumsum([len(samples.t) for samples in stretches]) // TOGETHER
     edges = [0, *(np.flatnonzero(np.diff(group)) + 1).tolist(), len(stretches)]
     parts = [_taken(stretches[first:last], n, m, weights, gate) for first, last in pairwise(edges)]
-    columns = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return Segments(*columns, weights, 1 / rate)
+    columns: list[Any] = [*map(np.concatenate, zip(*parts, strict=True)), weights, 1 / rate]
+    return Segments(*columns)
 
 
 def _taken(stretches: Sequence[Samples], n: int, m: int, weights: Array, gate: Gate) -> tuple[NDArray[Any], ...]:
     """Columns of `Segments` for stretches, in the order of their declaration; segments have `n` samples, the velocity
     is taken over `m` samples to both sides.
     """
-    t, P, x, ok = (np.concatenate([getattr(samples, name) for samples in stretches]) for name in ("t", "P", "x", "ok"))
-    sizes = [len(samples.t) for samples in stretches]
     forces = [np.full(len(s.t), s.load) if s.force is None else s.force for s in stretches]
-    ends = np.cumsum(sizes)
+    columns = (*([getattr(s, name) for s in stretches] for name in ("t", "P", "x", "ok")), forces)
+    t, P, x, ok, F = (column[0] if len(column) == 1 else np.concatenate(column) for column in columns)
+    ends = np.cumsum([len(samples.t) for samples in stretches])
     with np.errstate(divide="ignore", invalid="ignore"):
         v = velocity(t, x, m)
     v[(ends[:-1, None] + np.arange(-m, m)).clip(0, len(v) - 1)] = 0.0  # no velocity across two stretches
@@ -226,7 +226,7 @@ def _taken(stretches: Sequence[Samples], n: int, m: int, weights: Array, gate: G
     middle = start[:, None] + np.arange(n)
     around = start[:, None] + np.arange(-m, n + m)
     mass = np.array([0.0 if s.force is not None else s.mass for s in stretches])[stretch]
-    pulls, P, x = np.concatenate(forces)[around], P[around], x[around]
+    pulls, P, x = F[around], P[around], x[around]
     force = pulls @ weights + mass * (v[start + n] - v[start - 1]) / (t[start + n] - t[start - 1])
     number = np.array([samples.trial for samples in stretches], np.intp)[stretch]
     return number, t[start], way, P, x, P[:, m : m + n], v[middle], pulls[:, m : m + n], force, mass

@@ -223,8 +223,8 @@ class Polynomial:
     r2: float
     rms: float
     """Rms residual, with n - order - 1 degrees of freedom."""
-    scatter: Array | None
-    """Half width of each term from the residual by Student's t; None without a degree of freedom."""
+    scatter: Array
+    """Half width of each term from the residual by Student's t."""
 
 
 def polynomial(P: Array, y: Array, half: Array, order: int, normal: tuple[float, float] | None = None) -> Polynomial:
@@ -244,11 +244,9 @@ def polynomial(P: Array, y: Array, half: Array, order: int, normal: tuple[float,
     total = float(np.sum((y - y.mean()) ** 2))
     left = len(P) - order - 1
     power = float(residual @ residual)
-    scatter = None
-    if left > 0:
-        scatter = float(student.ppf(0.975, left)) * sqrt(power / left) * np.sqrt(np.sum(rows**2, axis=1))
+    scatter = float(student.ppf(0.975, left)) * sqrt(power / left) * np.sqrt(np.sum(rows**2, axis=1))
     r2 = 1.0 - power / total if total > 0 else 1.0
-    return Polynomial(terms, rows, r2, sqrt(power / max(1, left)), scatter)
+    return Polynomial(terms, rows, r2, sqrt(power / left), scatter)
 
 
 def normal_of(P: Array) -> tuple[float, float]:
@@ -296,13 +294,14 @@ def curve(
     *,
     normalised: bool = False,
 ) -> Curve | None:
-    """A polynomial over the estimates' pressures; None with fewer than `order` + 1 of them.
+    """A polynomial over the estimates' pressures; None with fewer than `order` + 2 of them.
 
-    With `trust` and `places`, the indices of the estimates in its fit, correlations between them count; else they are
-    taken as independent. The scatter of the points about the curve is the method part. `normalised`: the terms are
-    those of z = (P - centre) / scale, with the unit of the coefficient (paper 1 eqs. 17-20).
+    As many terms as points go through all of them, and nothing shows how far the curve is off between. With `trust` and
+    `places`, the indices of the estimates in its fit, correlations between them count; else they are taken as
+    independent. The scatter of the points about the curve is the method part. `normalised`: the terms are those of
+    z = (P - centre) / scale, with the unit of the coefficient (paper 1 eqs. 17-20).
     """
-    if len(estimates) < order + 1:
+    if len(estimates) < order + 2:
         return None
     known = estimates[0]
     P = np.array([e.at["pressure"] for e in estimates])
@@ -336,7 +335,7 @@ def _parts_of(
     found: Polynomial, power: int, estimates: Sequence[Estimate], trust: Trust | None, places: Sequence[int]
 ) -> tuple[Parts, float | None]:
     """Interval parts of one term, and its bias where it comes from a fit."""
-    scatter = 0.0 if found.scatter is None else float(found.scatter[power])
+    scatter = float(found.scatter[power])
     if trust is None:
         return _independent(estimates, found.rows[power], scatter), None
     combination = np.zeros(len(trust.bias))

@@ -1,8 +1,7 @@
 """Steps and sines of a joint's angle in closed loop, with both muscles pulling.
 
-- `reduction`: one trial, then all of a point
+- `reduction`: one trial, then all of a point; figure and one trial on the display
 - protocol files: `protocol`: pressures by a model or a measured map
-- figures and one trial on the display: `figures`
 """
 
 from pmabench.base.kind import Kind, Result
@@ -35,9 +34,9 @@ KIND = Kind(
     results=RESULTS,
     reduction="pmabench.kinds.joint_step.reduction:reduce",
     protocol="pmabench.kinds.joint_step.protocol:JointStep",
-    live="pmabench.kinds.joint_step.figures:measure",
+    live="pmabench.kinds.joint_step.reduction:one_trial",
     moves="angle",
     methods=METHODS,
-    figures={"joint-step": "pmabench.kinds.joint_step.figures:courses"},
+    figures={"joint-step": "pmabench.kinds.joint_step.reduction:courses"},
     loop=True,
 )

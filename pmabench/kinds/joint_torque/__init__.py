@@ -1,7 +1,7 @@
 """Isometric torque of a joint over its angle for pairs of pressures: maps of torque and stiffness.
 
-- `reduction`: all trials of a pair of pressures, made of `staircase` (one trial) and `plane` (torque over pressures)
-- protocol files: `protocol`; figures and one trial on the display: `figures`
+- `reduction`: all trials of a pair of pressures, made of `staircase` (one trial); figure and one trial on the display
+- protocol files: `protocol`
 """
 
 from pmabench.base.kind import Kind, Result
@@ -42,11 +42,11 @@ KIND = Kind(
     results=RESULTS,
     reduction="pmabench.kinds.joint_torque.reduction:reduce",
     protocol="pmabench.kinds.joint_torque.protocol:JointTorque",
-    live="pmabench.kinds.joint_torque.figures:measure",
+    live="pmabench.kinds.joint_torque.reduction:one_trial",
     moves="angle",
     repeated="pmabench.kinds.joint_torque.reduction:gap_of",
     repeated_is="gap",
     methods=METHODS,
-    figures={"joint-map": "pmabench.kinds.joint_torque.figures:maps"},
-    front={"joint-map": "pmabench.kinds.joint_torque.figures:maps"},
+    figures={"joint-map": "pmabench.kinds.joint_torque.reduction:maps"},
+    front={"joint-map": "pmabench.kinds.joint_torque.reduction:maps"},
 )

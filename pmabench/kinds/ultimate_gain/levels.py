@@ -1,4 +1,4 @@
-"""One ultimate-gain trial: its levels, the line through them, the loop that explains them, and reasons against it.
+"""One ultimate-gain trial: its levels, the line through them, and reasons against it.
 
 Conditions of a sustained oscillation: ratio 0.95 to 1.05, swings above six times the noise, command inside its range,
 periods within 5 %, a sine and not a triangle, and growth independent of the size of the swings.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import log, nan, pi, sqrt
+from math import log, nan, sqrt
 from typing import Any
 
 import numpy as np
@@ -17,10 +17,8 @@ from pmabench.analysis.shared import student
 from pmabench.analysis.shared.samples import noise_of
 from pmabench.analysis.shared.signals import SKIPPED, Swinging, describe, mode_amplitudes
 from pmabench.base.quantities import show
-from pmabench.kinds.ultimate_gain.relay_fit import simplest
-from pmabench.kinds.ultimate_gain.ways import Examined, Pair, lags_of, oscillating
-from pmabench.model.loop import ComplexArray, Loop, mode, ultimate
-from pmabench.store.records import Array, RunData, TrialData
+from pmabench.kinds.ultimate_gain.ways import Examined, Pair
+from pmabench.store.records import Array, TrialData
 
 STEEPEST = 0.3
 """Levels that lose or gain more than this per half period [ln] stay out of the line: too far from K_u."""
@@ -28,8 +26,6 @@ MOST_LEVELS = 6
 FEWEST_LEVELS = 3
 REACHED = -log(0.95)
 """ln of the largest ratio that counts as sustained; the last level must come at least this close."""
-ONE_LAG = 0.01
-"""Rms distance of the measured pressure from that of one lag, relative, from which on a second lag is fitted."""
 FEWEST_SWINGS = 6
 PERIOD_VARIATION = 0.05
 THIRD = {"doubt": 0.006, "fault": 0.012}
@@ -55,10 +51,8 @@ class Level:
     """Third harmonic of the displacement over the first [1]."""
     third_noise: float = 0.0
     """Its standard deviation by noise alone [1]."""
-    amplitudes: tuple[complex, complex] | None = None
-    """Complex amplitudes of displacement [m] and pressure [Pa] in the mode."""
-    means: tuple[float, float] = (nan, nan)
-    """Means of displacement [m] and pressure [Pa]."""
+    mean: float = nan
+    """Mean of the displacement [m]."""
 
     @property
     def log_ratio(self) -> float:
@@ -88,7 +82,7 @@ class Level:
 
 @dataclass(frozen=True)
 class Zero(Pair):
-    """Gain without growth, before correction by the replay; half widths from the scatter about the line."""
+    """Gain without growth; half widths from the scatter about the line."""
 
     line: tuple[float, float] = (nan, nan)
     """Slope [m/Pa] and value at gain 0 of ln ratio, at the set-point."""
@@ -105,21 +99,17 @@ class TrialFound(Examined):
     bias: float
     """Bias of the command [Pa]."""
     zero: Zero = Zero()
-    replayed: tuple[float, float] | None = None
-    """Bias of K_u and T_u by replay, which is subtracted; None without a loop."""
     friction: float = 0.0
     """Relative shift of K_u by growth that depends on the swing [1]."""
 
     @property
     def pair(self) -> Pair:
-        """Corrected K_u and T_u; NaN if refused."""
-        (K_u, T_u), (off_K, off_T) = self.zero.value, self.replayed or (0.0, 0.0)
-        return Pair() if self.refused else Pair((K_u - off_K, T_u - off_T), self.zero.half)
+        """K_u and T_u; NaN if refused."""
+        return Pair() if self.refused else self.zero
 
 
-def examine(run: RunData, trial: TrialData, search: Mapping[str, Any]) -> TrialFound:
-    """K_u, T_u and the loop of one trial, or why there are none. `search` is the record of the law `gain-steps`."""
-    lag = {name: info.sensor_lag for name, info in run.channels.items()}
+def examine(trial: TrialData, search: Mapping[str, Any]) -> TrialFound:
+    """K_u and T_u of one trial, or why there are none. `search` is the record of the law `gain-steps`."""
     levels = tuple(_measure(trial, level, search) for level in search["levels"])
     bias = float(search.get("bias", 0.0))
     seen = [level for level in levels if level.swinging is not None and abs(level.log_ratio) < STEEPEST]
@@ -128,7 +118,7 @@ def examine(run: RunData, trial: TrialData, search: Mapping[str, Any]) -> TrialF
     if nearest is None or len(seen) < FEWEST_LEVELS:
         return TrialFound(levels, tuple(seen), nearest, bias, refused=(_too_few(levels, seen, nearest, ended),))
     used = seen[-MOST_LEVELS:]
-    measured = [(level.gain, level.log_ratio, level.period, level.means[0]) for level in used]
+    measured = [(level.gain, level.log_ratio, level.period, level.mean) for level in used]
     gains, ratios, periods, places = np.array(measured).T
     off = places - float(search.get("setpoint", 0.0))
     zero = _zero(gains, ratios, periods, off)
@@ -138,11 +128,8 @@ def examine(run: RunData, trial: TrialData, search: Mapping[str, Any]) -> TrialF
         refused.append("growth does not rise with gain, so that no gain can be named at which it is 0")
     if refused:
         return TrialFound(levels, tuple(used), nearest, bias, zero, friction=friction, refused=tuple(refused))
-    loop = _identify(used, lag)
-    replayed, doubts = None if loop is None else _replay(loop, gains, off), _doubts(nearest, ratios, friction)
-    return TrialFound(
-        levels, tuple(used), nearest, bias, zero, replayed, abs(friction), loop=loop, doubts=tuple(doubts)
-    )
+    doubts = _doubts(nearest, ratios, friction)
+    return TrialFound(levels, tuple(used), nearest, bias, zero, abs(friction), doubts=tuple(doubts))
 
 
 def _measure(trial: TrialData, level: Mapping[str, Any], search: Mapping[str, Any]) -> Level:
@@ -156,21 +143,16 @@ def _measure(trial: TrialData, level: Mapping[str, Any], search: Mapping[str, An
         command = float(search.get("bias", 0.0)) + gain * (aim - x)
         saturated = bool(np.any((command < search["low"]) | (command > search["high"])))
     swinging = describe(t, x, noise) if len(t) > 20 else None
-    third = third_noise = 0.0
-    amplitudes, means = None, (nan, nan)
+    third, third_noise, mean = 0.0, 0.0, nan
     if swinging is not None:
         late = t >= swinging.times[0]
-        names = ["displacement", "pressure"] if "pressure" in trial.channels else ["displacement"]
-        signals = np.column_stack([trial.channels[name][mask][late] for name in names])
-        centre, found = mode_amplitudes(t[late] - t[late][0], signals, swinging.root)
-        size = abs(complex(found[0, 0]))
-        third = abs(complex(found[2, 0])) / size
+        centre, found = mode_amplitudes(t[late] - t[late][0], x[late], swinging.root)
+        size = abs(complex(found[0]))
+        third = abs(complex(found[2])) / size
         third_noise = noise * sqrt(2.0 / late.sum()) / size
-        if len(names) > 1:
-            amplitudes = (complex(found[0, 0]), complex(found[0, 1]))
-        means = (float(centre[0]), float(centre[-1]) if len(names) > 1 else nan)
+        mean = float(centre)
     t0, t1 = float(level["t0"]), float(level["t1"])
-    return Level(gain, t0, t1, aim, swinging, saturated, third, third_noise, amplitudes, means)
+    return Level(gain, t0, t1, aim, swinging, saturated, third, third_noise, mean)
 
 
 def _zero(gains: Array, ratios: Array, periods: Array, off: Array) -> Zero:
@@ -287,68 +269,3 @@ def _doubts(nearest: Level, ratios: Array, friction: float) -> list[str]:
     if abs(friction) > FRICTION["doubt"]:
         doubts.append(f"growth depends on the swing, as with friction: worth {abs(friction):.1%} of K_u")
     return doubts
-
-
-def _identify(used: Sequence[Level], lag: Mapping[str, float]) -> Loop | None:
-    """The loop from the amplitudes X, P of displacement and pressure at each level's root s.
-
-    The law's command is -K_p X, so P / (-K_p X) = exp(-L s)/(1 + a s + b s^2), and X / P = k_g/(1 + tau s + beta s^2)
-    with k_g the slope of the levels' mean displacement over mean pressure, beta = M/K; sensor lags are corrected. L
-    includes the sample hold and all delays; b is 0 if that is enough. None without a pressure, or where no such loop
-    fits.
-    """
-    roots, commands, ratios = [], [], []
-    for level in used:
-        if level.swinging is None or level.amplitudes is None or abs(level.amplitudes[1]) == 0:
-            return None
-        root, (X, P) = level.swinging.root, level.amplitudes
-        P = P * (1 + lag.get("pressure", 0.0) * root)
-        roots.append(root)
-        commands.append(-P / (level.gain * X))
-        ratios.append(X * (1 + lag.get("displacement", 0.0) * root) / P)
-    s, R, G = np.array(roots), np.array(commands), np.array(ratios)
-    muscle = _muscle(s, G, np.array([level.means for level in used]))
-
-    period = 2 * pi / float(s.imag.mean())
-
-    def misfit(p: Array) -> Array:
-        """Residual with a and L relative to the period, and the root of b."""
-        z = s * period
-        off = np.log(R * (1 + np.exp(p[0]) * z + sum(p[2:] ** 2) * z**2) * np.exp(p[1] * z))
-        return np.concatenate([off.real, off.imag])
-
-    L, regulator, _ = simplest(misfit, len(s) * ONE_LAG**2)
-    if muscle is None or L < 0:
-        return None
-    gain, lags = muscle
-    sensor = lag.get("displacement", 0.0)
-    every = (*(one * period for one in regulator), *lags, *((sensor,) if sensor > 0 else ()))
-    return oscillating(gain, L * period, every)
-
-
-def _muscle(s: ComplexArray, G: ComplexArray, means: Array) -> tuple[float, tuple[complex, ...]] | None:
-    """Gain k_g [m/Pa] and lags [s] of displacement over pressure, from G = X/P at the roots `s` [1/s].
-
-    k_g/G - 1 = tau s + beta s^2 is linear in tau and beta. Where the means hardly change, or beta is negative, one lag
-    is used, with gain and lag from G. None where no positive lag results.
-    """
-    x, P = means[:, 0] - means[:, 0].mean(), means[:, 1] - means[:, 1].mean()
-    gain = float(x @ P / (P @ P)) if P @ P > 0 else 0.0
-    if gain > 0 and (x @ P) ** 2 > 0.9 * (x @ x) * (P @ P):
-        left = gain / G - 1
-        design = np.column_stack([np.concatenate([s.real, s.imag]), np.concatenate([(s**2).real, (s**2).imag])])
-        tau, beta = np.linalg.lstsq(design, np.concatenate([left.real, left.imag]), rcond=None)[0]
-        if tau > 0 and beta > 0:
-            return gain, lags_of(tau, beta)
-    slope = np.imag(1 / G) / np.real(1 / G)
-    tau = float(np.median(slope / (s.imag - slope * s.real)))
-    return (float(np.median(np.abs(G * (1 + tau * s)))), (tau,)) if tau > 0 else None
-
-
-def _replay(loop: Loop, gains: Array, off: Array) -> tuple[float, float]:
-    """Bias of the line for K_u [Pa/m] and T_u [s]: its result on the exact roots of `loop`, minus the loop's own."""
-    roots = [mode(loop, float(gain)) for gain in gains]
-    periods = np.array([2 * pi / s.imag for s in roots])
-    ratios = np.array([pi * s.real / s.imag for s in roots])
-    (K_u, T_u), truth = _zero(gains, ratios, periods, off).value, ultimate(loop)
-    return K_u - truth.gain, T_u - truth.period

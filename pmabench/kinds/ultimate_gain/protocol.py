@@ -64,8 +64,6 @@ class RelayTest(Strict):
     """Half of the command's switching height."""
     hysteresis: Annotated[list[Length], Field(min_length=2, max_length=4)]
     """One for each amplitude, with a constant ratio, so that friction differs from a linear loop."""
-    asymmetry: Annotated[float, Field(ge=0.0, le=0.5)] = 0.0
-    """Above 0 the command goes further up than down; the mean values then give the static gain."""
     periods: Annotated[int, Field(ge=8, le=100)]
     level_time: Time
     settle: Time
@@ -107,7 +105,7 @@ class RelayTest(Strict):
         pressure.
         """
         d, bias, (low, high) = max(self.amplitudes), point["bias"], span
-        if not (low <= bias - d * (1 - self.asymmetry) and bias + d * (1 + self.asymmetry) <= high):
+        if not low <= bias - d < bias + d <= high:
             c.fault(place, 'with the largest amplitude lies outside the range "pressure" of the trial')
         if not self.measured[0] < bias < self.measured[1]:
             c.fault(place, 'lies outside the window "measured" of the relay')

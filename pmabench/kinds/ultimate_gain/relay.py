@@ -23,7 +23,7 @@ from pmabench.analysis.shared.signals import SEEN, extremes
 from pmabench.base.quantities import show
 from pmabench.kinds.ultimate_gain import ways
 from pmabench.kinds.ultimate_gain.open_loop_fit import balance
-from pmabench.kinds.ultimate_gain.relay_fit import command_over, fit, shape_of
+from pmabench.kinds.ultimate_gain.relay_fit import fit, shape_of
 from pmabench.kinds.ultimate_gain.ways import DESCRIBED, NOTHING, SYMBOLS, Examined, GainCell, Member, Pair
 from pmabench.model.loop import Loop, ultimate
 from pmabench.store.analyses.results import Estimate, Finding, Parts, Trace
@@ -35,8 +35,6 @@ FEWEST_PERIODS = 4
 FEWEST_SAMPLES = 4
 """Fewest samples in each period."""
 PERIOD_VARIATION = 0.05
-LOPSIDED = 0.05
-"""Mean command relative to the bias, over the amplitude, from which on the mean displacement gives a static gain."""
 ALIKE = 0.01
 """Largest difference between ratios of hysteresis to amplitude that count as equal."""
 SPREAD = {"period": {"doubt": 0.008, "fault": 0.02}, "gain": {"doubt": 0.025, "fault": 0.045}}
@@ -73,8 +71,6 @@ class RelayLevel:
     """Half of the peak-to-peak displacement, a [m]."""
     described: Pair
     """4 d / (pi sqrt(a^2 - h^2)) and the period; nan where the swing is not above the hysteresis."""
-    static: float
-    """Mean displacement from the centre over mean command from the bias [m/Pa]; nan with a symmetric command."""
     loop: Loop | None = None
     fitted: Pair = NOTHING
     """K_u and T_u of the fitted loop."""
@@ -93,8 +89,8 @@ class RelayLevel:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data; unknown values are None."""
-        names = ("amplitude", "hysteresis", "t0", "t1", "period", "variation", "swing", "static", "coulomb", "unlike",
-                 "shape", "left")  # fmt: skip
+        names = ("amplitude", "hysteresis", "t0", "t1", "period", "variation", "swing", "coulomb", "unlike", "shape",
+                 "left")  # fmt: skip
         K_u, T_u = self.fitted.value
         values = {name: float(getattr(self, name)) for name in names}
         values |= {"K_df": self.described.value[0], "K_u": K_u, "T_u": T_u}
@@ -212,11 +208,9 @@ def _measure(
     if swing > h:
         K_df = 4 * d / (pi * sqrt(swing**2 - h**2))
         half_df = K_df * quantile * float(np.std(swings, ddof=1)) * swing / (swing**2 - h**2) if len(swings) > 1 else 0
-    off = float(command_over(switches, float(ups[0]), float(ups[-1]), 1, 0)[0].real) - float(search["bias"])
-    static = (float(x.mean()) - float(search["centre"])) / off if abs(off) > LOPSIDED * d else nan
     found = RelayLevel(
         d, h, float(ups[0]), float(ups[-1]), period, float(np.std(periods, ddof=1)) / period, swing,
-        Pair((K_df, period), (half_df, quantile * float(np.std(periods, ddof=1)))), static,
+        Pair((K_df, period), (half_df, quantile * float(np.std(periods, ddof=1)))),
     )  # fmt: skip
     if P is None:
         return found
@@ -289,13 +283,6 @@ class RelayCell(GainCell[RelayFound]):
             return lines
         text = f"at {self.where} the loop fitted to the relay oscillation has {ways.described(loop)}"
         lines.append(Finding("note", f"{text}: {ways.limit_of(loop)}"))
-        best = [level for one in self.good if (level := one.found.best) is not None]
-        if static := [level.static for level in best if isfinite(level.static)]:
-            text = (
-                f"at {self.where} the means of the asymmetric oscillation give a static gain of "
-                f"{np.mean(static) * 1e6:.4g} mm/kPa; damping that changes with the pressure shifts it"
-            )
-            lines.append(Finding("note", text))
         return lines
 
     def traces(self) -> list[Trace]:

@@ -160,7 +160,7 @@ class GainCell(ABC, Generic[Found]):
 
     def estimate(
         self, place: int, method: str, of: Sequence[Member[Found]], pairs: Sequence[Pair], parts: Parts,
-        notes: Sequence[str], *, alone: str, bias: float | None = None, by_command: bool = True,
+        notes: Sequence[str], *, alone: str, by_command: bool = True,
     ) -> Estimate:  # fmt: skip
         """The mean of K_u (`place` 0) or T_u (1) over the `pairs` of the trials `of`.
 
@@ -179,8 +179,6 @@ class GainCell(ABC, Generic[Found]):
                 parts, repeats=half_of_trials(numbers, halves), calibration=scales.part(dict.fromkeys(used, value))
             ),
             n=len(of),
-            bias=bias,
-            corrected=bias is not None,
             note=sentences(
                 *(doubt for one in of for doubt in one.found.doubts),
                 alone if len(of) == 1 else "",
@@ -249,10 +247,11 @@ def plain_lags(loop: Loop) -> list[Any]:
     return [[lag.real, lag.imag] if lag.imag else lag.real for lag in map(complex, loop.lags)]
 
 
-def described(loop: Loop, of_dead_time: str = " (half a sample period in it)") -> str:
+def described(loop: Loop) -> str:
     """Gain, dead time and lags of a loop."""
     lags = listed([f"{complex(lag).real:.3g} s" for lag in loop.lags])
-    return f"{loop.gain * 1e6:.4g} mm/kPa, dead time {loop.dead_time * 1e3:.3g} ms{of_dead_time} and lags {lags}"
+    dead_time = f"dead time {loop.dead_time * 1e3:.3g} ms (half a sample period in it)"
+    return f"{loop.gain * 1e6:.4g} mm/kPa, {dead_time} and lags {lags}"
 
 
 def limit_of(loop: Loop) -> str:

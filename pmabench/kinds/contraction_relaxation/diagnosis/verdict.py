@@ -371,6 +371,8 @@ def examined(recorded: Campaign, knots: Array, segments_of: Cut, segments: Segme
     gain = Scales.of(recorded.runs).gains.get("force", 0.0)
     weights = weighed(readings(recorded), {"drift": zero_known(recorded), "gain": gain})
     search = Search(in_samples(recorded, weights.found), segments_of, knots, weights.drift is None)
+    if not weights.found:
+        search.cuts[()] = recorded, segments
     rounds = explained(search, search.fitted(()))
     after = rounds.after
     known = weighed(readings(search.campaign)) if weights.found else weights
