@@ -222,9 +222,10 @@ class _Coefficients:
         """Coulomb friction while it slides [N]."""
         return self.model.muscle.friction.F_c
 
-    def values(self, symbol: str, P: Array) -> Array:
-        """A coefficient [SI] at pressures P [Pa]."""
-        return np.asarray(getattr(self.model.muscle, symbol).values(P))
+    def coefficients(self, P: Array) -> Array:
+        """F_ce, K, B_c and B_r [SI] at pressures P [Pa]; shape (4, *P.shape)."""
+        muscle = self.model.muscle
+        return np.array([of.values(P) for of in (muscle.F_ce, muscle.K, muscle.B_c, muscle.B_r)])
 
 
 def model_of(run: RunData) -> Described | None:
