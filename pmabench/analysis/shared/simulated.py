@@ -223,9 +223,9 @@ class _Coefficients:
         return self.model.muscle.friction.F_c
 
     def coefficients(self, P: Array) -> Array:
-        """F_ce, K, B_c and B_r [SI] at pressures P [Pa]; shape (4, *P.shape)."""
+        """As in `Coefficients`."""
         muscle = self.model.muscle
-        return np.array([of.values(P) for of in (muscle.F_ce, muscle.K, muscle.B_c, muscle.B_r)])
+        return np.array([curve.values(P) for curve in (muscle.F_ce, muscle.K, muscle.B_c, muscle.B_r)])
 
 
 def model_of(run: RunData) -> Described | None:

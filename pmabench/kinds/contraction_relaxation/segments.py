@@ -204,8 +204,8 @@ def cut(stretches: Sequence[Samples], rate: float, gate: Gate) -> Segments:
     group = np.cumsum([len(samples.t) for samples in stretches]) // TOGETHER
     edges = [0, *(np.flatnonzero(np.diff(group)) + 1).tolist(), len(stretches)]
     parts = [_taken(stretches[first:last], n, m, weights, gate) for first, last in pairwise(edges)]
-    trial, t, way, P, x, P_mid, v, F_mid, force, mass = map(np.concatenate, zip(*parts, strict=True))
-    return Segments(trial, t, way, P, x, P_mid, v, F_mid, force, mass, weights, 1 / rate)
+    columns: list[Any] = [*map(np.concatenate, zip(*parts, strict=True)), weights, 1 / rate]
+    return Segments(*columns)
 
 
 def _taken(stretches: Sequence[Samples], n: int, m: int, weights: Array, gate: Gate) -> tuple[NDArray[Any], ...]:
