@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -145,7 +146,7 @@ def _side(ui: Ui, name: str, text: str, *, fresh: bool) -> tuple[Side, list[Path
 
         analyses = [of_one(analysis, count) for analysis in analyses]
         about.append(f"{count} muscles side by side: forces and volumes are divided by {count}")
-    calibrations = frozenset(item for manifest in manifests for item in _calibrations(manifest)) if known else None
+    calibrations = frozenset(item for run in runs for item in _calibrations(run)) if known else None
     return Side(name, tuple(analyses), "; ".join(about), calibrations), runs
 
 
@@ -175,16 +176,18 @@ def _bench_and_day(manifest: Mapping[str, Any]) -> str:
     return ", ".join(part for part in (str(name or ""), str(manifest.get("started_utc", ""))[:10]) if part)
 
 
-def _calibrations(manifest: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Calibration files by name and hash, and the session, in which zeros were taken."""
+def _calibrations(run: Path) -> Iterator[tuple[str, str]]:
+    """Scale and calibration of each channel, as the bench or the map of an import gives them, and the session."""
+    from pmabench.analysis.shared.trials import session_in
     from pmabench.analysis.verdict.comparison import SESSION
+    from pmabench.store.reader import RunFiles
 
-    snapshots = manifest.get("snapshots")
-    for name, digest in snapshots.items() if isinstance(snapshots, dict) else ():
-        if str(name).startswith("calibrations/"):
-            yield str(name), str(digest)
-    if manifest.get("session") is not None:
-        yield SESSION, json.dumps(manifest["session"], sort_keys=True, default=str)
+    with suppress(InvalidFile):
+        files = RunFiles(run)
+        for name in files.stream_names():
+            for column in json.loads(files.read(f"streams/{name}.json"))["columns"]:
+                yield column["name"], json.dumps([column.get("scale"), column.get("calibration")], sort_keys=True)
+        yield SESSION, session_in(files.manifest)
 
 
 def _published(text: str, analyses: Sequence[Analysis], runs: Sequence[Path]) -> tuple[Side, list[Published]]:
