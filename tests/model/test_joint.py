@@ -7,8 +7,9 @@ import pytest
 
 from pmabench.model.library import MODELS, OutsideDomain
 from pmabench.model.many.joint import Braided, Joint, JointPlant
-from pmabench.model.many.platform import LEVEL, Opening, Platform
+from pmabench.model.many.platform import LEVEL, Platform
 from pmabench.model.regulator import constant, ramp, sine
+from tests.model.openings import Opening, simulate
 
 BAR, DEG = 1e5, math.pi / 180
 JOINT, INVERSE = MODELS["joint"], MODELS["joint-inverse"]
@@ -65,7 +66,7 @@ TABLE = """
 
 def test_a_platform_moves_as_two_other_programs_say():
     rows = [[float(cell) for cell in line.split()] for line in TABLE.strip().splitlines()]
-    states = Platform().simulate(OPENINGS, [row[0] for row in rows])
+    states = simulate(Platform(), OPENINGS, [row[0] for row in rows])
     for (_, phi, psi, *pressures), state in zip(rows, states, strict=True):
         assert [angle / DEG for angle in state[:2]] == pytest.approx([phi, psi], abs=0.002)
         assert list(state[4:7]) == pytest.approx([P * BAR for P in pressures], abs=20.0)
@@ -73,7 +74,7 @@ def test_a_platform_moves_as_two_other_programs_say():
 
 def test_a_level_platform_stays_level_and_vents_level():
     """Three equal muscles at 120 degrees make no moment; only rounding tilts it before the pressure is gone."""
-    held, vented = Platform().simulate([Opening("exhaust", i, 0.5, 2.0) for i in range(3)], [0.5, 0.8])
+    held, vented = simulate(Platform(), [Opening("exhaust", i, 0.5, 2.0) for i in range(3)], [0.5, 0.8])
     assert held == pytest.approx(LEVEL, abs=1e-6)
     assert vented[:2] == pytest.approx((0.0, 0.0), abs=1e-6)
     assert max(vented[4:7]) < 0.6 * BAR

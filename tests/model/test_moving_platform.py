@@ -9,13 +9,13 @@ from pmabench.model.many.platform import (
     LEVEL,
     G,
     Inverse,
-    Opening,
     Platform,
     PlatformPlant,
     contractions,
     on_time,
     tilt,
 )
+from tests.model.openings import Opening, simulate
 
 BAR, DEG = 1e5, math.pi / 180
 
@@ -30,7 +30,7 @@ def test_pulses_between_samples_are_what_openings_are():
             plant.pulse("exhaust", 1, 0.0297)
         plant.advance(number * 0.002)
     openings = [Opening("fill", 0, 0.1 + DELAY, 0.1303 + DELAY), Opening("exhaust", 1, 0.2 + DELAY, 0.2297 + DELAY)]
-    (state,) = Platform().simulate(openings, [1.0])
+    (state,) = simulate(Platform(), openings, [1.0])
     assert plant.state == pytest.approx(state, rel=1e-4, abs=1e-5)
 
 

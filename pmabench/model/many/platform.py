@@ -15,7 +15,6 @@ import math
 import random
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -31,16 +30,6 @@ State = tuple[float, ...]
 """phi, psi [rad], their rates [rad/s], three gauge pressures [Pa], three states of the hysteresis [1]."""
 LEVEL: State = (0.0,) * 4 + (2.5e5,) * 3 + (0.0,) * 3
 """At rest, level, at 2.5 bar."""
-
-
-@dataclass(frozen=True)
-class Opening:
-    """Opening of a valve from `begin` to `end` [s]; `kind` is fill or exhaust, `muscle` counts from 0."""
-
-    kind: str
-    muscle: int
-    begin: float
-    end: float
 
 
 @dataclass(frozen=True)
@@ -119,26 +108,6 @@ class Platform:
                 angles[k] = math.copysign(self.stop, angles[k])
                 rates[k] = min(rates[k], 0.0) if angles[k] > 0 else max(rates[k], 0.0)
         return (*angles, *rates, *state[4:])
-
-    def simulate(self, openings: Sequence[Opening], at: Sequence[float], state: State = LEVEL) -> list[State]:
-        """States at increasing times `at` [s], from `state` at 0, with these valve openings."""
-        cuts = sorted({0.0, *at, *(t for one in openings for t in (one.begin, one.end))})
-        wanted, found = set(at), []
-        if 0.0 in wanted:
-            found.append(state)
-        for begin, end in pairwise(cuts):
-            if len(found) == len(wanted):
-                break
-            middle = 0.5 * (begin + end)
-            now = [one for one in openings if one.begin <= middle < one.end]
-            filled, emptied = (
-                [any(one.kind == kind and one.muscle == i for one in now) for i in range(3)]
-                for kind in ("fill", "exhaust")
-            )
-            state = self.advance(state, end - begin, filled, emptied)
-            if end in wanted:
-                found.append(state)
-        return found
 
 
 def described(numbers: Mapping[str, float]) -> Platform:
