@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,7 +19,7 @@ from pmabench.report.terminal import print_grid
 
 if TYPE_CHECKING:
     from pmabench.analysis.verdict.comparison import Comparison, Difference, Side
-    from pmabench.report.figures.overlays import Comparison as Published
+    from pmabench.report.overlays import Comparison as Published
     from pmabench.store.analyses.results import Analysis, Estimate
 
 _LIMIT = re.compile(r"\s*(E_n|difference)\s*(?:<=?|≤|=)\s*(.+?)\s*")
@@ -74,7 +75,7 @@ def command(
     failed += [text for measure, limit in limits if measure == "difference" for text in _curves_beyond(curves, limit)]
     data = _json(left, right, found, curves, failed)
     if output is not None:
-        from pmabench.report.pages.comparison_page import write_comparison
+        from pmabench.report.comparison_page import write_comparison
 
         data["path"] = str(write_comparison(left, right, found, curves, failed, output))
     refusals = [f"NOT ACCEPTED: {clean(text)}" for text in failed]
@@ -145,7 +146,7 @@ def _side(ui: Ui, name: str, text: str, *, fresh: bool) -> tuple[Side, list[Path
 
         analyses = [of_one(analysis, count) for analysis in analyses]
         about.append(f"{count} muscles side by side: forces and volumes are divided by {count}")
-    calibrations = frozenset(item for manifest in manifests for item in _calibrations(manifest)) if known else None
+    calibrations = frozenset(item for run in runs for item in _calibrations(run)) if known else None
     return Side(name, tuple(analyses), "; ".join(about), calibrations), runs
 
 
@@ -175,16 +176,18 @@ def _bench_and_day(manifest: Mapping[str, Any]) -> str:
     return ", ".join(part for part in (str(name or ""), str(manifest.get("started_utc", ""))[:10]) if part)
 
 
-def _calibrations(manifest: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Calibration files by name and hash, and the session, in which zeros were taken."""
+def _calibrations(run: Path) -> Iterator[tuple[str, str]]:
+    """Scale and calibration of each channel, as the bench or the map of an import gives them, and the session."""
+    from pmabench.analysis.shared.trials import session_in
     from pmabench.analysis.verdict.comparison import SESSION
+    from pmabench.store.reader import RunFiles
 
-    snapshots = manifest.get("snapshots")
-    for name, digest in snapshots.items() if isinstance(snapshots, dict) else ():
-        if str(name).startswith("calibrations/"):
-            yield str(name), str(digest)
-    if manifest.get("session") is not None:
-        yield SESSION, json.dumps(manifest["session"], sort_keys=True, default=str)
+    with suppress(InvalidFile):
+        files = RunFiles(run)
+        for name in files.stream_names():
+            for column in json.loads(files.read(f"streams/{name}.json"))["columns"]:
+                yield column["name"], json.dumps([column.get("scale"), column.get("calibration")], sort_keys=True)
+        yield SESSION, session_in(files.manifest)
 
 
 def _published(text: str, analyses: Sequence[Analysis], runs: Sequence[Path]) -> tuple[Side, list[Published]]:
@@ -192,7 +195,7 @@ def _published(text: str, analyses: Sequence[Analysis], runs: Sequence[Path]) ->
     from pmabench.analysis.verdict.comparison import Side
     from pmabench.cli.report import read_overlays
     from pmabench.cli.sources import load_runs
-    from pmabench.report.figures.overlays import length_of, with_published
+    from pmabench.report.overlays import length_of, with_published
 
     tables = read_overlays([text])
     (table,) = tables
@@ -234,7 +237,7 @@ def _print(
     ui: Ui, left: Side, right: Side, found: Comparison, curves: Sequence[Published], last: Sequence[str]
 ) -> None:
     from pmabench.plotting.wording import clean
-    from pmabench.report.pages.comparison_page import curve_rows, rows_of
+    from pmabench.report.comparison_page import curve_rows, rows_of
 
     console = ui.console(columns=140)
     for side in (left, right):

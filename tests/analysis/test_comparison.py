@@ -15,8 +15,8 @@ from pmabench.base.errors import UsageError
 from pmabench.cli.report import read_overlays
 from pmabench.kinds.contraction_relaxation import reduction as contraction
 from pmabench.kinds.contraction_relaxation.segments import gather
-from pmabench.report.figures.overlays import with_published
-from pmabench.report.pages.comparison_page import rows_of
+from pmabench.report.comparison_page import rows_of
+from pmabench.report.overlays import with_published
 from pmabench.store.analyses.results import PUBLISHED, Analysis, Estimate, Parts, Source
 from tests.analysis.coverage_study import CHANNELS, campaign
 from tests.analysis.simulate import contraction_run, rig
@@ -157,25 +157,45 @@ def reduced(wrong, seed):
 
 
 def test_values_are_read_on_straight_lines_only_where_nothing_is_in_common():
-    a = side(K(6.0, 1.0, 2e5), K(8.0, 3.0, 4e5))
+    a = side(K(6.0, 1.0, 2e5), K(8.0, 3.0, 4e5), K(10.0, 1.0, 6e5))
     b = side(K(7.5, 2.0, 3e5), name="B", run="r2")
     d = one(a, b)
     assert (d.a.value, d.a.parts.combined, d.between) == (pytest.approx(7.0), pytest.approx(2.0), "a")
     assert d.half == pytest.approx(8**0.5)
     every = dict.fromkeys(vars(Parts()), 2.0)
-    a_parts = side(replace(K(6.0, 1.0, 2e5), parts=Parts(**every)), replace(K(8.0, 1.0, 4e5), parts=Parts(**every)))
-    assert one(a_parts, b).a.parts == Parts(**every)  # no part is lost on the line
+    at = (2e5, 4e5, 6e5)
+    a_parts = side(*(replace(K(6.0 + n, 1.0, P), parts=Parts(**every)) for n, P in enumerate(at)))
+    read = one(a_parts, b).a.parts
+    assert read.calibration == 2.0
+    assert read.combined == pytest.approx(20**0.5)  # no part is lost on the line
     both = side(K(7.5, 2.0, 3e5), K(6.0, 1.0, 2e5), name="B", run="r2")
     assert [d.a.at["pressure"] for d in compare(a, both).differences] == [2e5]
     asked = compare(a, both, pressures=[2.5e5]).differences
     assert [(d.a.value, d.b.value) for d in asked] == [(pytest.approx(6.5), pytest.approx(6.75))]
-    outside = compare(a, both, pressures=[2e5, 5e5])
-    assert "not compared: K has no value in A at 500 kPa" in [f.text for f in outside.findings]
+    outside = compare(a, both, pressures=[2e5, 7e5])
+    assert "not compared: K has no value in A at 700 kPa" in [f.text for f in outside.findings]
+
+
+def test_the_bend_between_two_points_is_in_the_interval():
+    """The same muscle, K bent: E_n was +2.3 from 250 and 450 to 350 kPa, +4.6 from 200 and 500 kPa."""
+
+    def at(*pressures, **more):
+        return side(*(K(5600 + 1e-3 * P + 9.7e-9 * P**2, 10.0, P) for P in pressures), **more)
+
+    reference = at(3.5e5, name="B", run="r2")
+    for pressures in ((2.5e5, 4.5e5, 5.5e5), (2e5, 3e5, 5e5), (1e5, 2e5, 5e5)):
+        d = one(at(*pressures), reference)
+        assert d.value > 10
+        assert d.agrees
+        assert d.half < 15 * d.value
+    alone = one(at(2e5, 5e5), reference)
+    assert alone.between == "a"
+    assert alone.score is None, "nothing shows the bend between two points"
 
 
 def test_without_an_uncertainty_on_both_sides_there_is_no_e_n():
     """E_n of ISO/IEC 17043 divides by both uncertainties; one alone gave -1403 for a value 3 % off."""
-    a = side(K(6.0, 1.0, 2e5), K(8.0, 1.0, 4e5))
+    a = side(K(6.0, 1.0, 2e5), K(8.0, 1.0, 4e5), K(10.0, 1.0, 6e5))
     table = side(K(6.5, None, 2e5), K(7.0, None, 3e5), name="Serres", run="", kind=PUBLISHED, published=True)
     found = compare(a, table)
     assert [(d.value, d.half, d.score) for d in found.differences] == [(-0.5, None, None), (0.0, None, None)]

@@ -1,5 +1,6 @@
 """Contraction with coarse steps, wrong zeros, polled channels or spikes; the muscle is integrated by scipy."""
 
+from dataclasses import replace
 from functools import lru_cache
 from math import sqrt
 
@@ -228,3 +229,12 @@ def test_a_pressure_between_its_steps_is_found_while_it_moves(noise):
     assert sqrt(np.mean((between_steps(read, 1.0) - P)[rows] ** 2)) < 0.1
     assert sqrt(np.mean((read - P)[rows] ** 2)) > 0.28
     assert np.abs(between_steps(read, 1.0) - P).max() < 1.0
+
+
+def test_a_force_that_is_turned_round_gives_no_value():
+    """It was "corrected" by 200 %, and F_ce came out as 275 N +- 605 N."""
+    run = recorded(read_as=lambda name, values, _chance: -values if name == "force" else values)
+    hung = (replace(trial, point=trial.point | {"mass": trial.point["load"] / 9.81}) for trial in run.trials)
+    found = reduce([replace(run, trials=tuple(hung))])
+    assert not any(e.value is not None for e in found.estimates)
+    assert any(f.level == "fault" and "its sign is wrong" in f.text for f in found.findings)

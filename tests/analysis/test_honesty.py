@@ -333,6 +333,7 @@ def test_an_interval_ends_at_0_only_for_what_cannot_be_below():
     )
     time, slope, width = Analysis("new-kind", (), False, (time, slope, width), results=declared).estimates
     assert time.ci95 == (0.0, 0.07)
+    assert replace(time, value=-0.01).ci95 == (pytest.approx(-0.06), pytest.approx(0.04)), "it holds its value"
     assert slope.ci95 == (-2.0, 4.0)
     assert width.ci95 == (-2.0, 4.0)
 

@@ -64,6 +64,18 @@ def test_a_fault_next_to_values_is_no_verdict():
     assert verdicts([], [some]) == []
 
 
+def test_what_another_method_withholds_is_no_verdict_on_the_first():
+    """K by the fit was given, and the run not accepted for K of single steps, under one name."""
+    other = K(None, None, method="step-exponential", withheld=True, note="only the order of 7.4 N/mm is known")
+    assert judged(K(67.7), other) == []
+    assert judged(K(None, None, withheld=True, note="creep"), other) == [
+        "K at pressure 300 kPa, mean 10 mm: withheld: creep"
+    ]
+    assert judged(K(None, None, note="no load moves"), other) == [
+        "sinusoidal-displacement: nothing came out: no load moves; only the order of 7.4 N/mm is known"
+    ]
+
+
 def test_a_run_of_sines_that_went_slack_gives_nothing():
     slack = as_run("sinusoidal-displacement", [Muscle51(F_ce=60.0).trial(0, 1.0, 11)])
     (reported,) = verdicts([slack], reduce_runs([slack]))

@@ -42,6 +42,50 @@ def test_differences_are_reported_with_their_e_n(folders):
     assert (data["a"]["runs"], data["b"]["simulated"]) == (["r1"], True)
 
 
+SENSORS = """schema: pmabench.map/1
+name: study
+source: my lab
+kind: isometric
+file: {delimiter: comma, header: first line}
+columns:
+  t: {is: time, unit: s}
+  p: {is: pressure, unit: kPa, expanded_uncertainty: 1 kPa, gain_uncertainty: 0.5 %}
+  f: {is: force, unit: N, expanded_uncertainty: 1 N, gain_uncertainty: 1 %}
+sampling: {rate: [10 Hz, 2000 Hz], gap: 1 s}
+trials: {by: file, point: {contraction: 0 mm}}
+specimen: {type: muscle, serial: "1", nominal_length: 300 mm}
+"""
+
+
+def imported(folder, name, seeds, sensors=SENSORS):
+    """Two tests by a map, processed."""
+    (folder / f"{name}.yaml").write_text(sensors)
+    files = [folder / f"{seed}.csv" for seed in seeds]
+    for seed, path in zip(seeds, files, strict=True):
+        t, noise = np.arange(0.0, 40.0, 0.02), np.random.default_rng(seed).standard_normal((2, 2000))
+        P = 500.0 - 22.0 * np.abs(t - 20.0)
+        table = np.column_stack([t, P + 0.1 * noise[0], 0.9 * P - 20.0 + 0.3 * noise[1]])
+        np.savetxt(path, table, delimiter=",", header="t,p,f", comments="", fmt="%.8g")
+    out = folder / name / "".join(map(str, seeds))
+    reported = call("import", *files, "--map", folder / f"{name}.yaml", "--out", out / "runs", "--json").stdout
+    call("process", *(entry["run"] for entry in json.loads(reported)["runs"]), "--out", out / "analysis")
+    return out / "analysis" / "isometric"
+
+
+def test_imports_by_one_map_share_the_scales_of_its_sensors(tmp_path):
+    """A gain of 0.5 % and of 1 % on both sides let K +0.5 % pass."""
+    one, two = (imported(tmp_path, "map", seeds) for seeds in ((1, 2), (3, 4)))
+    others = imported(tmp_path, "other", (5, 6), SENSORS.replace("gain_uncertainty: 1 %", "gain_uncertainty: 1.1 %"))
+
+    def slope(b):
+        data = json.loads(call("compare", one, b, "--json").output)
+        return next(d for d in data["differences"] if d["symbol"] == "m")
+
+    scale = 0.01 * slope(two)["b"]["value"]
+    assert slope(two)["half_width"] < 0.2 * scale
+    assert slope(others)["half_width"] > 1.4 * scale
+
+
 def test_a_folder_is_found_by_the_short_path_that_process_prints(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     kind = "contraction-relaxation"

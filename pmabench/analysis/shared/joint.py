@@ -54,21 +54,16 @@ def why_no_turns(turns: Turns | None, half: float, gap: float, noise: float) -> 
     `noise` is that of a point of the gap [N m].
     """
     seen = gap / NOT_SEEN
-    small = f"the sweep of +-{show(half, 'angle', 3)} is too small for the hysteresis: "
     if seen < -noise:
         return (
             "the torque is larger while the angle rises, and no muscles give work back like that: look for a wrong "
             "sign, or angle and torque that are apart in time"
         )
-    if turns is None and seen > noise:
+    if turns is None and (seen > noise or half < SMALLEST):
         return (
-            f"{small}its branches are never parallel, and their slope is that of the turns, not the stiffness; sweep "
-            "at least three times as far, or look for a filter on the torque"
-        )
-    if turns is None and half < SMALLEST:
-        least = show(SMALLEST, "angle", 3)
-        return (
-            f"{small}it shows no gap, and may be three times as steep as the joint is stiff; sweep at least +-{least}"
+            f"the sweep of +-{show(half, 'angle', 3)} is too small for the hysteresis: its branches never become "
+            "parallel, and may be three times as steep as the joint is stiff; sweep at least three times as far, or "
+            "look for a filter on the torque"
         )
     return ""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -77,13 +77,18 @@ def session_of(run: RunData) -> str:
     The session of the bench in the manifest; for imports the day where the file gives it, else the folder; else the
     id of the run.
     """
-    session, imported = run.manifest.get("session"), run.manifest.get("imported")
+    return session_in(run.manifest) or run.id
+
+
+def session_in(manifest: Mapping[str, Any]) -> str:
+    """The same by the manifest of a run; empty where it says nothing."""
+    session, imported = manifest.get("session"), manifest.get("imported")
     if isinstance(session, Mapping) and session.get("at"):
         return str(session["at"])
     if isinstance(imported, Mapping):
         known = imported.get("started_known")
-        return str(run.manifest.get("started_utc", ""))[:10] if known else str(imported.get("folder", ""))
-    return run.id
+        return str(manifest.get("started_utc", ""))[:10] if known else str(imported.get("folder", ""))
+    return ""
 
 
 def mean_over_sessions(values: Sequence[float] | Array, sessions: Sequence[str]) -> tuple[float, float | None]:

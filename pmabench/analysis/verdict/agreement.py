@@ -121,7 +121,7 @@ def between(known: Sequence[tuple[float, Estimate]], at: float, *, bent: bool = 
     """Value at `at`, interpolated linearly in `known`, which has rising places; None outside of it.
 
     Half widths are interpolated, too. For a quantity that may be `bent`, even sharply as at the end of a dead band, the
-    method part is the distance of the extrapolated neighbouring piece from the line.
+    distance of the extrapolated neighbouring piece from the line is in the method part; without one there is none.
     """
     places = np.array([place for place, _ in known])
     if len(known) < 2 or not places[0] - SAME <= at <= places[-1] + SAME:
@@ -140,10 +140,15 @@ def between(known: Sequence[tuple[float, Estimate]], at: float, *, bent: bool = 
     value = (1 - share) * (one.value or 0.0) + share * (two.value or 0.0)
     pieces = [pair for pair in (known[max(0, i - 2) : i], known[i : i + 2]) if bent and len(pair) == 2]
     off = min((abs(along(pair) - value) for pair in pieces), default=None if bent else 0.0)
-    halves = [e.parts.combined for e in (one, two)]
-    whole = None not in halves and off is not None
-    half = (1 - share) * (halves[0] or 0.0) + share * (halves[1] or 0.0) if whole else None
-    return replace(one, value=value, parts=Parts(repeats=half, method=off), n=min(one.n, two.n))
+
+    def mean(halves: Sequence[float | None]) -> float | None:
+        first, second = halves
+        return None if first is None or second is None else (1 - share) * first + share * second
+
+    half = mean([replace(e.parts, calibration=None).combined for e in (one, two)])
+    scales = mean([e.parts.calibration for e in (one, two)])
+    parts = Parts(repeats=None if off is None else half, method=off, calibration=scales)
+    return replace(one, value=value, parts=parts, n=min(one.n, two.n))
 
 
 def weighted(pairs: Sequence[tuple[Estimate, float]], symbol: str) -> Estimate:

@@ -14,9 +14,10 @@ from typing import Any
 
 from pmabench.analysis.shared.calibration import NOT_DECLARED
 from pmabench.analysis.shared.trials import Point, grouped, six_digits
+from pmabench.analysis.verdict import agreement
 from pmabench.base.errors import UsageError
 from pmabench.base.quantities import QUANTITIES, show
-from pmabench.store.analyses.results import POINT_QUANTITIES, Analysis, Estimate, Finding, Parts
+from pmabench.store.analyses.results import POINT_QUANTITIES, Analysis, Estimate, Finding
 
 
 @dataclass(frozen=True)
@@ -361,26 +362,10 @@ def _at_places(lack: str, places: Sequence[str]) -> str:
 
 
 def _on_line(values: Mapping[Point, Estimate], P: float) -> Estimate | None:
-    """Value at pressure P [Pa], interpolated linearly between neighbours; None outside or where one has no value.
-
-    Parts are interpolated, too, which is an upper bound.
-    """
-    known = sorted(place[0][1] for place in values)
-    low, high = (max((p for p in known if p <= P), default=None), min((p for p in known if p >= P), default=None))
-    if low is None or high is None:
-        return None
-    one, other = values[(("pressure", low),)], values[(("pressure", high),)]
-    if one.value is None or other.value is None:
-        return None
-    share = (P - low) / (high - low) if high > low else 0.0
-    mean: dict[str, Any] = {
-        name: None if None in (left, right) else (1 - share) * left + share * right
-        for name, left, right in ((name, half, getattr(other.parts, name)) for name, half in vars(one.parts).items())
-    }
-    value = (1 - share) * one.value + share * other.value
-    trials = tuple(dict.fromkeys((*one.trials, *other.trials)))
-    at = {"pressure": P}
-    return replace(one, value=value, parts=Parts(**mean), at=at, trials=trials, n=max(one.n, other.n), budget=())
+    """Value at pressure P [Pa], interpolated between neighbours with the bend that further ones show; None outside."""
+    known = sorted(((place[0][1], e) for place, e in values.items() if e.value is not None), key=lambda one: one[0])
+    found = agreement.between(known, P, bent=True)
+    return found and replace(found, at={"pressure": P})
 
 
 def _half(one: Estimate, other: Estimate, *, shared: bool) -> float | None:
@@ -438,7 +423,7 @@ def _cautions(a: Side, b: Side, differences: Sequence[Difference]) -> Iterator[F
             "another muscle. Calibrate, and state expanded_uncertainty and gain_uncertainty, to tell the two apart",
         )
     if any(d.between for d in differences):
-        yield Finding("note", "values marked ~ are read on straight lines between neighbouring points")
+        yield Finding("note", "values marked ~ are read on lines between points; a third one shows how far these bend")
     if a.runs & b.runs:
         yield Finding("note", "both come from the same runs and share their scatter: E_n shows less than there is")
     elif not b.published:

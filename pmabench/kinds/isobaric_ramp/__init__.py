@@ -70,6 +70,7 @@ KIND = Kind(
         **dict.fromkeys(("isobaric", "mean-curve"), "pmabench.kinds.isobaric_ramp.figures:loops"),
         "rubber": "pmabench.kinds.isobaric_ramp.figures:rubber",
     },
+    front={"isobaric": "pmabench.kinds.isobaric_ramp.figures:loops"},
     published=dict.fromkeys(("mean-curve", "isobaric", "rubber"), ("displacement", "force", "pressure")),
     parts={"slow rows": "pmabench.analysis.surface.trials:driven"},
     imported=Imported(

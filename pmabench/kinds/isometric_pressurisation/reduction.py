@@ -304,6 +304,11 @@ def _three_elements(found: Sequence[sections.Across], scales: Scales) -> list[Es
             {"force": F_ce, "pressure": dF * one.pressure}, {"force": 1.0, "pressure": dF, "displacement": K}
         )
         scale_K = scales.part({"force": K, "displacement": K, "pressure": dK * one.pressure}, {"pressure": dK})
+        each = [scales.offsets.get(name, 0.0) * changed for name, changed in one.zeros.items()]
+        of_days = np.linalg.norm(each, axis=0)
+        scale_K, scale_F = (
+            None if part is None else hypot(part, own) for part, own in zip((scale_K, scale_F), of_days, strict=True)
+        )
         how: dict[str, Any] = {"n": len(one.names), "trials": one.names}
         how["note"] = "" if one.line.half_slope is not None else "no repeats part: too few contractions"
         of_F, of_K = Parts(one.line.half_start, calibration=scale_F), Parts(one.line.half_slope, calibration=scale_K)

@@ -11,6 +11,7 @@ from itertools import pairwise
 from math import hypot, sqrt
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales, sentences
@@ -49,6 +50,8 @@ class Across:
     """-dF/dx between neighbouring contractions [N/m]."""
     names: tuple[str, ...]
     bend: Bend
+    zeros: Mapping[str, Array]
+    """Channel -> change of slope and start by its zero, another one in each session (`_by_zeros`), shape (2,)."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +104,7 @@ def across(cells: Sequence[Cell]) -> list[Across]:
     strongest = max((float(F.max()) for F in known if len(F)), default=0.0)
     for P in pressures(cells).tolist():
         rows = [
-            (cell.contraction, x, F, test.name, session_of(test.run))
+            (cell.contraction, x, F, test.name, session_of(test.run), _slope(cell, P))
             for cell in cells
             for x, F, test in zip(cell.place, cell.force_at(P), cell.tests, strict=True)
             if np.isfinite(F) and F > PULLS * strongest
@@ -117,8 +120,24 @@ def across(cells: Sequence[Cell]) -> list[Across]:
         off = max(abs(f - line.start - line.slope * at) for at, f in means)
         between = tuple(-(f2 - f1) / (x2 - x1) for (x1, f1), (x2, f2) in pairwise(means))
         span, names = float(np.ptp([f for _, f in means])), tuple(row[3] for row in rows)
-        found.append(Across(P, line, off, span, between, names, Bend.of(x, F, line)))
+        sessions = np.array([row[4] for row in rows])
+        units = {
+            "force": np.ones(len(F)),
+            "pressure": np.array([row[5] for row in rows]),
+            "displacement": np.full(len(F), -line.slope),
+        }
+        zeros = {name: _by_zeros(x, sessions, unit) for name, unit in units.items()}
+        found.append(Across(P, line, off, span, between, names, Bend.of(x, F, line), zeros))
     return found
+
+
+def _by_zeros(x: Array, sessions: NDArray[np.str_], unit: Array) -> Array:
+    """Change of slope and start (2,) by a zero that is off by 1 in one session after the other, root of the sum of
+    squares; 0 with one session, whose zero is in all forces alike. `unit`: force by a zero that is off by 1, (n,).
+    """
+    names = np.unique(sessions)
+    each = [np.polyfit(x, unit * (sessions == name), 1) for name in names]
+    return np.linalg.norm(each, axis=0) if len(names) > 1 else np.zeros(2)
 
 
 def _wider(line: Line, x: Array, F: Array, sessions: Sequence[str]) -> Line:

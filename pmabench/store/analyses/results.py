@@ -159,13 +159,13 @@ class Estimate:
     def ci95(self) -> tuple[float, float] | None:
         """The 95 % interval (low, high) from all parts; None without a repeats part.
 
-        For a positive quantity it is cut off at 0; this does not change its coverage.
+        That of a positive quantity is cut off at 0, where its value is not below; this does not change its coverage.
         """
         half = self.parts.combined
         if self.value is None or half is None:
             return None
         low, high = self.value - half, self.value + half
-        return (max(0.0, low) if self.positive and high > 0 else low, high)
+        return (max(0.0, low) if self.positive and self.value >= 0 else low, high)
 
     def to_dict(self) -> dict[str, Any]:
         """The documented JSON object of an estimate."""

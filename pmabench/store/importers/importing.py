@@ -197,9 +197,11 @@ def _write(prepared: Prepared, rules: ImportMap, apart: Sequence[Found], out: Pa
     try:
         columns = [channel.rule.record(channel.rule.role in prepared.whole) for channel in prepared.checked]
         writer.open_stream("file", columns, 1.0 / prepared.period if prepared.period > 0 else 0.0)
-        whole = prepared.whole
-        raw = {c.rule.role: c.raw.astype(np.int32) if c.rule.role in whole else c.raw for c in prepared.checked}
-        writer.append_now("file", np.round(prepared.t * 1e9).astype(np.int64), raw, flags)
+        begin = 0
+        for t, checked in prepared.blocks():
+            raw = {c.rule.role: c.raw.astype(np.int32) if c.rule.role in prepared.whole else c.raw for c in checked}
+            writer.append_now("file", np.round(t * 1e9).astype(np.int64), raw, flags[begin : begin + len(t)])
+            begin += len(t)
         _events(writer, prepared)
         writer.close("finished")
     except BaseException:

@@ -132,21 +132,20 @@ def turns(values: Array, smallest: float) -> list[int]:
     found: list[int] = []
     low = high = 0
     rising: bool | None = None
-    every = values.tolist()  # many times faster than an array, item by item
-    for k, value in enumerate(every):
-        if value > every[high]:
+    for k, value in enumerate(values.tolist()):
+        if value > values[high]:
             high = k
-        if value < every[low]:
+        if value < values[low]:
             low = k
-        if rising is not True and value - every[low] >= smallest:
+        if rising is not True and value - values[low] >= smallest:
             found.append(low)
             rising, high = True, k
-        elif rising is not False and every[high] - value >= smallest:
+        elif rising is not False and values[high] - value >= smallest:
             found.append(high)
             rising, low = False, k
-        if rising is True and value >= every[high]:
+        if rising is True and value >= values[high]:
             high = k
-        if rising is False and value <= every[low]:
+        if rising is False and value <= values[low]:
             low = k
     if rising is not None:
         found.append(high if rising else low)

@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, time
 from fnmatch import fnmatchcase
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from pmabench.base.errors import InvalidFile, Problem, invalid
 from pmabench.base.quantities import show
-from pmabench.store.importers import plausible, quality
+from pmabench.store.importers import long, plausible, quality
 from pmabench.store.importers.found import Checked, Found, Summary
+from pmabench.store.importers.long import Seen
 from pmabench.store.importers.magnitude import Muscle, slope_of_held
 from pmabench.store.importers.map_file import Question, made, spelled
 from pmabench.store.importers.map_rules import ColumnRule, ImportMap, number_in
 from pmabench.store.importers.plausible import pressure_late
 from pmabench.store.importers.segments import Segment, segments
-from pmabench.store.importers.table import Table, read_table
+from pmabench.store.importers.table import Table, read_table, with_made
 from pmabench.store.records import Array, Flag, Flags
 
 NOTES_BYTES = 100_000
@@ -43,10 +45,11 @@ class Prepared:
     table: Table
     named: Named
     t: Array
-    """Time stamps [s], shape (n,)."""
+    """Time stamps [s]; for a long file only of the rows for cutting into trials."""
     checked: tuple[Checked, ...]
-    """Channels, shape (n,)."""
+    """Channels of the same rows as `t`."""
     flags: Flags
+    """Flags of all rows."""
     findings: tuple[Found, ...]
     parts: tuple[Segment, ...]
     notes: tuple[str, bytes] | None
@@ -63,17 +66,14 @@ class Prepared:
     """Open questions of the map, and those that the numbers cannot decide."""
     simulated: bool
 
-
-@dataclass(frozen=True)
-class _Seen:
-    """Result of the inspection of the rows of a table."""
-
-    t: Array
-    checked: tuple[Checked, ...]
-    values: Mapping[str, Array]
-    """Channels [SI] and other columns by their role, shape (n,)."""
-    flags: Flags
-    found: list[Found]
+    def blocks(self) -> Iterator[tuple[Array, tuple[Checked, ...]]]:
+        """Time stamps [s] and channels of all rows in order, in blocks that fit into memory."""
+        if len(self.t) == len(self.table):
+            yield self.t, self.checked
+            return
+        for begin, end in long.parts(len(self.table)):
+            part = self.table.part(begin, end)
+            yield times(part, self.rules), channels_of(part, self.rules)
 
 
 def prepare(path: Path, rules: ImportMap) -> Prepared:
@@ -105,13 +105,13 @@ def _prepared(path: Path, rules: ImportMap, table: Table, name: str, number: int
     if name:
         named = replace(named, test=named.test or number + 1)
     table, constant = _with_constants(path, rules, table, named.point)
-    seen = _inspected(path, rules, table)
-    found = seen.found + constant
+    looked = long.inspected(table, rules, lambda part: _inspected(path, rules, part), _summed)
+    seen, found = looked.seen, looked.seen.found + constant
     specimen = rules.file.specimen
     contraction = named.point.get("contraction")
     muscle = Muscle(specimen.inner_diameter, specimen.nominal_length, contraction, _held(rules))
     more, questions = plausible.judge(seen.t, seen.checked, seen.flags, muscle, rules.file.confirmed)
-    found += more
+    found += looked.placed(more)
     parts, doubts = segments(seen.t, seen.values, seen.flags, rules, named.point)
     found += [Found("doubt", "trial", text) for text in doubts]
     if not parts:
@@ -122,17 +122,17 @@ def _prepared(path: Path, rules: ImportMap, table: Table, name: str, number: int
         named=named,
         t=seen.t,
         checked=seen.checked,
-        flags=seen.flags,
+        flags=looked.flags,
         findings=known,
         parts=tuple(parts),
         notes=_notes(path, rules.file.notes),
         rules=rules,
         name=name,
-        whole=frozenset(channel.rule.role for channel in seen.checked if _is_int(channel)),
-        period=float(np.median(np.abs(np.diff(seen.t)))) if len(seen.t) > 1 else 0.0,
+        whole=looked.whole,
+        period=looked.period,
         summary=Summary(
             tuple(sorted((key, round(value, 9)) for key, value in named.point.items())),
-            _peaks(seen),
+            looked.peaks,
             not any(each.level == "fault" for each in known),
             slope_of_held(seen.values, seen.flags) if muscle.held else None,
             tuple((name, part.point[name]) for part in parts for name in part.measured),
@@ -171,7 +171,7 @@ def _with_constants(
             where = f'trials: {{point: {{{coordinate}: ...}}}}, or {{{coordinate}}} in "name_tells"'
             raise invalid(path, f"{text}: say {where}")
         value = np.float64((point[coordinate] - rule.offset) / rule.slope)
-        table = replace(table, columns={**table.columns, rule.column: np.full(len(table), value)})
+        table = with_made(table, rule.column, partial(np.full_like, fill_value=value, dtype=np.float64))
         text = f"{rule.role} was not recorded: {show(point[coordinate], rule.quantity)} throughout, as map or name says"
         known = bool(rule.calibration["offset_uncertainty"] or rule.calibration["gain_uncertainty"])
         more = "" if known else "; how far it was from that no result includes: say expanded_uncertainty"
@@ -198,8 +198,8 @@ def _gaps_within(t: Array, flags: Flags, trial: Array, gap: float) -> None:
     flags[late] |= np.uint16(Flag.GAP)
 
 
-def _times(table: Table, rules: ImportMap) -> Array:
-    """Time stamps [s] of a table; raises InvalidFile where a row has none."""
+def times(table: Table, rules: ImportMap) -> Array:
+    """Time stamps [s] of a table in memory; raises InvalidFile where a row has none."""
     time = next(column for column in rules.columns if column.role == "time")
     t = table.columns[time.column] * time.slope
     if np.isnan(t).any() or np.abs(t).max() > 9e9:
@@ -222,10 +222,16 @@ def _coarse(table: Table, t: Array) -> None:
     raise invalid(table.path, text, table.line(int(np.argmax(steps == 0)) + 1), 1)
 
 
-def _inspected(path: Path, rules: ImportMap, table: Table) -> _Seen:
-    """Scale and check the rows of a table."""
-    t = _times(table, rules)
-    checked = tuple(_checked(table, c) for c in rules.columns if c.is_channel and c.column in table.columns)
+def channels_of(table: Table, rules: ImportMap) -> tuple[Checked, ...]:
+    """The channels of a table in memory, raw and in SI units."""
+    return tuple(
+        _checked(table, column) for column in rules.columns if column.is_channel and column.column in table.columns
+    )
+
+
+def _inspected(path: Path, rules: ImportMap, table: Table) -> Seen:
+    """Scale and check the rows of a table in memory."""
+    t, checked = times(table, rules), channels_of(table, rules)
     _coarse(table, t)
     others = {
         c.role: c.slope * table.columns[c.column]
@@ -260,13 +266,14 @@ def _inspected(path: Path, rules: ImportMap, table: Table) -> _Seen:
     declared = rules.column("pressure")
     if rules.test.timed and declared is not None and (late := pressure_late(t, values, flags)):
         found.append(replace(late, level="note") if any(declared.late_by) else late)
-    return _Seen(t, checked, values, flags, found)
+    return Seen(t, checked, values, flags, found)
 
 
-def _peaks(seen: _Seen) -> dict[str, float]:
-    """Highest value of each channel [SI], without dropouts, overrange and time jumps."""
+def _summed(seen: Seen) -> tuple[frozenset[str], Mapping[str, float]]:
+    """Roles with whole counts, and peaks [SI] without dropouts, overrange and time jumps."""
     good = (seen.flags & np.uint16(Flag.DROPOUT | Flag.OVERRANGE | Flag.TIME_JUMP)) == 0
-    return {channel.rule.role: float(channel.si[good].max()) for channel in seen.checked if good.any()}
+    peaks = {channel.rule.role: float(channel.si[good].max()) for channel in seen.checked if good.any()}
+    return frozenset(channel.rule.role for channel in seen.checked if _is_int(channel)), peaks
 
 
 def placed(found: Found, t: Array, rows: int) -> Found:

@@ -1,9 +1,14 @@
-"""The columns of one file that a map uses, for any format: numbers, line numbers, and data about the file."""
+"""The columns of one file that a map uses, for any format: numbers, line numbers, and data about the file.
+
+Small columns stay in memory, large ones are kept in temporary files.
+"""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+import tempfile
+import weakref
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from itertools import pairwise
@@ -11,6 +16,7 @@ from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmabench.base.errors import invalid, reading
 from pmabench.base.text import printable
@@ -20,14 +26,76 @@ from pmabench.store.importers.apart import Answer, read_apart
 from pmabench.store.importers.map_file import spelled
 from pmabench.store.records import Array
 
+KEPT = 16_000_000
+"""Total size of columns that are kept in memory [bytes]."""
+LINE = "line"
+
+
+def _close(files: dict[str, IO[bytes]]) -> None:
+    for file in files.values():
+        file.close()
+
+
+class Columns(Mapping[str, Array]):
+    """Equally long columns by name; `columns[name]` is a whole one, `part` some rows of all."""
+
+    def __init__(self) -> None:
+        """Begin without columns; the first piece gives their names."""
+        self.rows = 0
+        self._pieces: dict[str, list[Array]] = {}
+        self._files: dict[str, IO[bytes]] = {}
+        weakref.finalize(self, _close, self._files)
+
+    def append(self, piece: Mapping[str, Array]) -> None:
+        """Add rows at the end. Raises OSError where the folder for temporary files is full."""
+        if not self._pieces:
+            self._pieces = {name: [] for name in piece}
+        for name, values in piece.items():
+            if self._files:
+                self._files[name].write(np.ascontiguousarray(values, dtype=np.float64).data)
+            else:
+                self._pieces[name].append(values)
+        self.rows += len(next(iter(piece.values()), ()))
+        if not self._files and 8 * self.rows * len(self._pieces) > KEPT:
+            self._to_disk()
+
+    def _to_disk(self) -> None:
+        for name, pieces in self._pieces.items():
+            file = self._files[name] = tempfile.TemporaryFile()  # noqa: SIM115  # lives as long as the columns
+            while pieces:
+                file.write(np.ascontiguousarray(pieces.pop(0), dtype=np.float64).data)
+
+    def part(self, begin: int, end: int) -> dict[str, Array]:
+        """Rows `begin` to `end` (exclusive) of all columns."""
+        return {name: self._read(name, begin, end) for name in self}
+
+    def _read(self, name: str, begin: int, end: int) -> Array:
+        if not self._files:
+            pieces = self._pieces[name]
+            if len(pieces) > 1:
+                pieces[:] = [np.concatenate(pieces)]
+            return pieces[0][begin:end] if pieces else np.empty(0)
+        file = self._files[name]
+        file.flush()
+        file.seek(8 * begin)
+        return np.fromfile(file, dtype=np.float64, count=end - begin)
+
+    def __getitem__(self, name: str) -> Array:
+        return self._read(name, 0, self.rows)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._pieces)
+
+    def __len__(self) -> int:
+        return len(self._pieces)
+
+
 MAX_BYTES = 2_000_000_000
 """Largest size of a file that is read in pieces [bytes]."""
 MAX_WHOLE = 200_000_000
 """Largest size of a file that is read at once [bytes]."""
 PIECE = 4_000_000
 """Size of the pieces in which a file is read [bytes]."""
-MOST_ROWS = 20_000_000
-"""Largest number of rows; each takes some 300 bytes of memory with five channels."""
 
 
 @dataclass(frozen=True)
@@ -40,9 +108,9 @@ class Table:
     size: int
     """Size of the whole file [bytes]."""
     columns: Mapping[str, Array]
-    """Name -> numbers, shape (n,); NaN for "no value"."""
-    lines: Array
-    """Line number of each row, from 1; row number where the file has no lines."""
+    """Name -> numbers, shape (n,); NaN for "no value". Large columns are read from disk on access."""
+    lines: Columns
+    """Column `LINE`: line number of each row of the file, from 1; row number where the file has no lines."""
     cut_end: bool
     """Whether the last row may be incomplete."""
     started: datetime | None
@@ -56,32 +124,40 @@ class Table:
     """Sentence about text at the end of the file that was left out because it is not a complete row; or empty."""
     starts: tuple[int, ...] = ()
     """Rows at which another test begins, after a repeated header."""
+    begin: int = 0
+    """Row of the file at which this table begins."""
 
     def __len__(self) -> int:
-        return len(self.lines)
+        if isinstance(self.columns, Columns):
+            return self.columns.rows
+        return max(map(len, self.columns.values()), default=0)
 
     def line(self, row: int) -> int:
         """Line number in the file of a row."""
-        return int(self.lines[row])
+        return int(self.lines.part(self.begin + row, self.begin + row + 1)[LINE][0])
 
-    def tests(self) -> list[Table]:
-        """The tests of the file, each with its own rows; the table itself if it has one test."""
-        if not self.starts:
-            return [self]
-        return [self._part(a, b) for a, b in pairwise((0, *self.starts, len(self))) if b > a]
-
-    def _part(self, begin: int, end: int) -> Table:
+    def part(self, begin: int, end: int) -> Table:
+        """Rows `begin` to `end` (exclusive), in memory."""
+        if isinstance(self.columns, Columns):
+            columns = self.columns.part(begin, end)
+        else:
+            columns = {name: values[begin:end] for name, values in self.columns.items()}
         whole = end == len(self)
         return replace(
             self,
-            columns={name: values[begin:end] for name, values in self.columns.items()},
-            lines=self.lines[begin:end],
-            starts=(),
+            columns=columns,
+            begin=self.begin + begin,
             cut_end=self.cut_end and whole,
             cut_row=self.cut_row if whole else "",
             doubts=self.doubts if begin == 0 else (),
             left_out=self.left_out if begin == 0 else (),
         )
+
+    def tests(self) -> list[Table]:
+        """The tests of the file, each with its own rows; the table itself if it has one test."""
+        if not self.starts:
+            return [self]
+        return [replace(self.part(a, b), starts=()) for a, b in pairwise((0, *self.starts, len(self))) if b > a]
 
 
 def read_table(
@@ -105,9 +181,18 @@ def read_table(
         return table
     if TIME in table.columns:
         raise invalid(path, f'has a column "{TIME}"; leave out "period"')
-    starts, rows = np.array((0, *table.starts)), np.arange(len(table))
-    t = (rows - starts[np.searchsorted(starts, rows, "right") - 1]) * layout.period
-    return replace(table, columns={**table.columns, TIME: t}, units={**table.units, TIME: "s"})
+    period, starts = np.float64(layout.period), np.array((0, *table.starts))
+    made = with_made(table, TIME, lambda row: (row - starts[np.searchsorted(starts, row, "right") - 1]) * period)
+    return replace(made, units={**table.units, TIME: "s"})
+
+
+def with_made(table: Table, name: str, make: Callable[[NDArray[np.intp]], Array]) -> Table:
+    """The table with a further column, which `make` calculates from row numbers, shape (n,)."""
+    columns = Columns()
+    for begin in range(0, len(table), PIECE // 8):
+        end = min(begin + PIECE // 8, len(table))
+        columns.append({**table.part(begin, end).columns, name: make(np.arange(begin, end))})
+    return replace(table, columns=columns)
 
 
 def read_all(path: Path, layout: Layout) -> tuple[dict[str, Array], dict[str, str], list[str]]:
@@ -144,15 +229,15 @@ def _read(path: Path, question: Mapping[str, Any], stamps: Stamps | None, most: 
         for answer in read_apart(kind, str(path), pieces, question):
             rows.take(answer)
         size = file.tell()
-    head, columns = rows.head, rows.columns()
+    head = rows.head
     started = datetime.fromisoformat(head["started"]) if head.get("started") else None
-    doubts = [*head.get("doubts", []), *(_other_matrices(columns, stamps.column) if stamps is not None else [])]
+    doubts = [*head.get("doubts", []), *(_other_matrices(rows.columns, stamps.column) if stamps is not None else [])]
     return Table(
         path=path,
         sha256=digest.hexdigest(),
         size=size,
-        columns=columns,
-        lines=np.concatenate([np.empty(0), *rows.lines]),
+        columns=rows.columns,
+        lines=rows.lines,
         cut_end=bool(head.get("cut_end")),
         started=rows.started or started,
         units=dict(zip(head.get("columns", ()), head.get("units") or _line_of_units(head), strict=False)),
@@ -190,18 +275,12 @@ class _Rows:
 
     def __init__(self, path: Path, stamps: Stamps | None) -> None:
         self.path, self.stamps = path, stamps
-        self.count = 0
-        self.lines: list[Array] = []
+        self.columns, self.lines = Columns(), Columns()
         self.starts: list[int] = []
         self.started: datetime | None = None
         self.head: Mapping[str, Any] = {}
         """Head of the last answer, with data about the file and its end."""
-        self._pieces: dict[str, list[Array]] = {}
         self._clock: Clock | None = None
-
-    def columns(self) -> dict[str, Array]:
-        """All rows; the pieces are given up, each column's as soon as it is made of them."""
-        return {name: np.concatenate(self._pieces.pop(name)) for name in list(self._pieces)}
 
     def take(self, answer: Answer) -> None:
         """Add the rows of the next piece."""
@@ -218,13 +297,10 @@ class _Rows:
                 parts.append(self._clock.seconds(t[begin:end], None if date is None else date[begin:end]))
                 self.started = self.started or self._clock.started
             columns[self.stamps.column] = np.concatenate(parts)
-        for name, values in columns.items():
-            self._pieces.setdefault(name, []).append(values)
-        self.starts += [self.count + start for start in starts if self.count + start > 0]
-        self.lines.append(answer.lines)
-        self.count += count
-        if self.count > MOST_ROWS:
-            raise invalid(self.path, f"has more than {MOST_ROWS:,} rows: part it, or keep every other row or fewer")
+        if columns or count:
+            self.columns.append(columns)
+        self.starts += [self.lines.rows + start for start in starts if self.lines.rows + start > 0]
+        self.lines.append({LINE: answer.lines})
         self.head = answer.head
 
     def _first_clock(self, stamps: Stamps, t: Array, head: Sequence[str]) -> Clock:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from pmabench.analysis.shared.calibration import Scales
+from pmabench.analysis.shared.samples import NotUsable
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.diagnosis.cell import Weighed, readings, weighed
 from pmabench.kinds.contraction_relaxation.diagnosis.columns import Span, bent, zero_known
@@ -366,10 +367,17 @@ def _why_hidden(one: Size, share: float) -> str:
     return f"it fits that {one.text}, which {effect} ({limit}). {REMEDY}"
 
 
+TURNED = (
+    "the force cell reads less the more weight hangs on it: its sign is wrong. Turn the sign in its calibration or map"
+)
+
+
 def examined(recorded: Campaign, knots: Array, segments_of: Cut, segments: Segments) -> Diagnosis:
     """The diagnosis of a campaign with these first knots [Pa]; `segments` are cut from the samples as recorded."""
     gain = Scales.of(recorded.runs).gains.get("force", 0.0)
     weights = weighed(readings(recorded), {"drift": zero_known(recorded), "gain": gain})
+    if weights.gain is not None and weights.gain[0] < -1:
+        raise NotUsable(TURNED)
     search = Search(in_samples(recorded, weights.found), segments_of, knots, weights.drift is None)
     if not weights.found:
         search.cuts[()] = recorded, segments
