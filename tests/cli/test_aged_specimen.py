@@ -63,7 +63,7 @@ def test_compare_finds_the_true_difference(lab):
         assert d["agrees"] is False
     same = [d for d in reported["differences"] if d["symbol"] in ("B_c", "F_c")]
     assert all(abs(d["E_n"]) < 1.5 for d in same)
-    assert any("same calibrations" in f["text"] for f in reported["findings"])
+    assert any("errors that both share count in both" in f["text"] for f in reported["findings"])
 
 
 def test_history_shows_cycles_values_and_reference_trials(lab):
