@@ -105,6 +105,8 @@ class Kind:
     """Its name in a comparison of tests, `sine`; the same for two reductions of the same runs."""
     offers: str = ""
     """`module:offers`: Analysis -> its `Offer` of each quantity that other kinds of test also measure."""
+    after: str = ""
+    """`module:options`: offers of the specimen's other tests -> options of this reduction, which runs after them."""
     reverses: bool = False
     """Whether it examines small reversals of the motion."""
     instead: str = ""

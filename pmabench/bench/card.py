@@ -1,6 +1,6 @@
 """The card of a bench: what is mounted on the rig, and what happens when something fails, as plain texts and rows.
 
-`pmabench.report.pages.bench_card` draws it. What happens at a failure follows from valves, watchdogs and watch list.
+`pmabench.report.writing` draws it. What happens at a failure follows from valves, watchdogs and watch list.
 """
 
 from __future__ import annotations

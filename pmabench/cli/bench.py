@@ -18,8 +18,7 @@ from pmabench.base.errors import DeviceError, UsageError, did_you_mean
 from pmabench.base.quantities import CHANNEL_QUANTITY, QUANTITIES, show
 from pmabench.cli.common import Group, Ui, common, fields, read_quantity
 from pmabench.cli.names import BENCH, FILE, PATH, SPECIMEN
-from pmabench.cli.operator import AtLines
-from pmabench.cli.outcome import outcome_json, print_checks, print_outcome, progress_line, show_outcome
+from pmabench.cli.outcome import AtLines, outcome_json, print_checks, print_outcome, progress_line, show_outcome
 from pmabench.engine.operator import ConfirmedBeforehand, Nobody, Operator
 from pmabench.report.terminal import print_grid, print_texts
 
@@ -46,7 +45,7 @@ def card(ui: Ui, bench: str, specimen: str | None, output: Path) -> None:
     """Write the card of BENCH: limits, what vents, what happens when something fails, wiring; one A4 page."""
     from pmabench.bench.card import make_card
     from pmabench.cli.prepare import mounted_of
-    from pmabench.report.pages.bench_card import write_card
+    from pmabench.report.writing import write_card
 
     made = make_card(mounted_of(bench, specimen), datetime.date.today().isoformat())
     write_card(asdict(made), output)

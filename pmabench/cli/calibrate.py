@@ -14,8 +14,7 @@ from pmabench.base.errors import UsageError
 from pmabench.base.quantities import CHANNEL_QUANTITY
 from pmabench.cli.common import Ui, common, read_quantity, say
 from pmabench.cli.names import BENCH, PATH, SPECIMEN
-from pmabench.cli.operator import AtLines
-from pmabench.cli.outcome import outcome_json, print_outcome, progress_line
+from pmabench.cli.outcome import AtLines, outcome_json, print_outcome, progress_line
 from pmabench.engine.operator import ConfirmedBeforehand, Nobody
 from pmabench.report.terminal import print_texts
 

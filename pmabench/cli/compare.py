@@ -19,7 +19,7 @@ from pmabench.report.terminal import print_grid
 
 if TYPE_CHECKING:
     from pmabench.analysis.verdict.comparison import Comparison, Difference, Side
-    from pmabench.report.figures.overlays import Comparison as Published
+    from pmabench.report.overlays import Comparison as Published
     from pmabench.store.analyses.results import Analysis, Estimate
 
 _LIMIT = re.compile(r"\s*(E_n|difference)\s*(?:<=?|≤|=)\s*(.+?)\s*")
@@ -75,7 +75,7 @@ def command(
     failed += [text for measure, limit in limits if measure == "difference" for text in _curves_beyond(curves, limit)]
     data = _json(left, right, found, curves, failed)
     if output is not None:
-        from pmabench.report.pages.comparison_page import write_comparison
+        from pmabench.report.comparison_page import write_comparison
 
         data["path"] = str(write_comparison(left, right, found, curves, failed, output))
     refusals = [f"NOT ACCEPTED: {clean(text)}" for text in failed]
@@ -195,7 +195,7 @@ def _published(text: str, analyses: Sequence[Analysis], runs: Sequence[Path]) ->
     from pmabench.analysis.verdict.comparison import Side
     from pmabench.cli.report import read_overlays
     from pmabench.cli.sources import load_runs
-    from pmabench.report.figures.overlays import length_of, with_published
+    from pmabench.report.overlays import length_of, with_published
 
     tables = read_overlays([text])
     (table,) = tables
@@ -237,7 +237,7 @@ def _print(
     ui: Ui, left: Side, right: Side, found: Comparison, curves: Sequence[Published], last: Sequence[str]
 ) -> None:
     from pmabench.plotting.wording import clean
-    from pmabench.report.pages.comparison_page import curve_rows, rows_of
+    from pmabench.report.comparison_page import curve_rows, rows_of
 
     console = ui.console(columns=140)
     for side in (left, right):

@@ -40,7 +40,7 @@ from pmabench.kinds import registry
 from pmabench.model.real.muscle import Surface
 from pmabench.protocol.plan import Plan
 from pmabench.protocol.sweep import idle_trials
-from pmabench.report.bends import slopes_of
+from pmabench.report.certificate.force_chart import slopes_of
 from pmabench.store.analyses.folder import analyses_below, read_analysis
 from pmabench.store.analyses.results import Analysis
 from pmabench.store.folder import run_name

@@ -78,7 +78,7 @@ def fit(
     measured = read_measured(model, table, ranges=_ranges(model, within), given=list(given), **rows)
     found = _fit(model, measured, given, begin, free)
     if plot is not None:
-        from pmabench.report.pages.fit_figure import write_fit
+        from pmabench.report.fit_figure import write_fit
 
         write_fit(found, plot, table.name, measured.source)
     data = _data(found, measured, table, given)

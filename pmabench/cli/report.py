@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from pmabench.cli.process import Processed
     from pmabench.files.table import Column
     from pmabench.report.document.content import Content
-    from pmabench.report.figures.overlays import Published
+    from pmabench.report.overlays import Published
     from pmabench.report.writing import KeptPage
     from pmabench.store.analyses.results import Analysis
     from pmabench.store.records import RunData
@@ -87,8 +87,8 @@ def command(
         written = {"path": str(write_file(output, page.text, "the report"))}
     else:
         ui.begin("making the report")
+        from pmabench.report.document.content import write_figures
         from pmabench.report.document.deviations import Issuer
-        from pmabench.report.document.figure_files import write_figures
 
         said: dict[str, Any] = {"title": title, "published": published, "issuer": Issuer(**issuer)}
         content, written, page = _written(ui, *known.analysed(ui), output, pdf, xlsx, long=long, **said)
@@ -176,7 +176,7 @@ def _parted(text: str) -> tuple[Path, str]:
 
 def _read(path: Path, label: str) -> Published:
     from pmabench.files.table import numbers, read_table
-    from pmabench.report.figures.overlays import COORDINATES, HEADS, Published
+    from pmabench.report.overlays import COORDINATES, HEADS, Published
 
     table = read_table(path)
     chosen: dict[str, tuple[Column, str, str | None]] = {}
@@ -204,7 +204,7 @@ def _read(path: Path, label: str) -> Published:
 def _meaning(column: Column) -> tuple[str, str, str | None] | None:
     """Name, quantity and unit of a column: the first of its meanings whose unit fits, else the first."""
     from pmabench.files.table import Wanted, meaning, unit_scale
-    from pmabench.report.figures.overlays import HEADS
+    from pmabench.report.overlays import HEADS
 
     able = []
     for name, quantity, heads in HEADS:

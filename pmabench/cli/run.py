@@ -20,8 +20,7 @@ from pmabench.base.errors import RecordError, UsageError, invalid
 from pmabench.base.system import ENGINE, ordinary, real_time, user_name
 from pmabench.cli.common import Ui, common, plan_options, say, session_options
 from pmabench.cli.names import PATH, WIDTH, RunFolder, short, typed
-from pmabench.cli.operator import AtDisplay, AtLines, Confirmed
-from pmabench.cli.outcome import print_checks, progress_line, show_end, show_next
+from pmabench.cli.outcome import AtDisplay, AtLines, Confirmed, print_checks, progress_line, show_end, show_next
 from pmabench.engine.operator import ConfirmedBeforehand, Nobody, Operator
 
 if TYPE_CHECKING:

@@ -1,8 +1,8 @@
 """Display of a run: a separate process that reads what the run writes, and can neither stop nor slow it.
 
-- `follow`: incremental reading of the run folder, its samples, and the run that comes after it
+- `follow`: incremental reading of the run folder and its samples
 - `channel`: values against limits, and a bench without a run
-- `progress`: position in the plan; `state`: the present state of the run
+- `state`: the present state of the run, and its position in the plan
 - `verdicts`: the line of a finished trial, compared with the specimen file and with repeats
 - `wording`, `lines`, `view`: words, trials, and the screen with its curves as text
 - `web`: the same run in a browser

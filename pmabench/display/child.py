@@ -139,7 +139,8 @@ class Display:
         ours, theirs = socket.socketpair()
         self._before = terminal.attributes(0)
         try:
-            command = [sys.executable, "-P", "-m", "pmabench.display", str(folder), "--link", str(theirs.fileno())]
+            command = [sys.executable, "-P", "-m", "pmabench.display.console", str(folder)]
+            command += ["--link", str(theirs.fileno())]
             command += [] if self._color else ["--no-color"]
             self._process = subprocess.Popen(command, pass_fds=[theirs.fileno()], stdout=subprocess.DEVNULL)
         except OSError:

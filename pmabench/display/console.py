@@ -5,12 +5,14 @@ The terminal is always restored at the end. Blocking calls here do not block the
 
 from __future__ import annotations
 
+import argparse
 import io
 import os
 import select
 import shlex
 import shutil
 import signal
+import socket
 import sys
 import threading
 import time
@@ -26,6 +28,7 @@ from rich.text import Text
 
 from pmabench.base import terminal
 from pmabench.base.errors import Interrupted, UsageError
+from pmabench.base.system import ordinary
 from pmabench.base.text import printable, raw
 from pmabench.display.child import LEAVE, Link
 from pmabench.display.lines import first_line, last_line, plain_line
@@ -364,3 +367,26 @@ def watch(folder: Path, *, plain: bool, color: bool, quiet: bool = False) -> Run
             return Console(folder, raw(sys.stdout), color=color, plain=plain).run(quiet=quiet)
     except Terminate as end:
         raise Interrupted(str(end), 128 + end.number) from None
+
+
+def main() -> int:
+    """The display of `pmabench run`, as its child process: show the run until the link ends."""
+    parser = argparse.ArgumentParser(prog="python -m pmabench.display.console")
+    parser.add_argument("run", type=Path, help="the run folder")
+    parser.add_argument("--link", type=int, required=True, metavar="FD", help="an inherited socket")
+    parser.add_argument("--no-color", action="store_true")
+    given = parser.parse_args()
+    ordinary()
+    with suppress(OSError):
+        os.nice(5)  # the bench goes first
+    link = Link(socket.socket(fileno=given.link))
+    color = not given.no_color and "NO_COLOR" not in os.environ
+    plain = not sys.stderr.isatty() or os.environ.get("TERM") == "dumb"
+    console = Console(given.run, sys.stderr, link=link, color=color, plain=plain)
+    with suppress(Terminate, BrokenPipeError), tidy_signals(child=True):
+        console.run()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

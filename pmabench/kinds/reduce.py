@@ -77,8 +77,7 @@ def reduce_runs(runs: Sequence[RunData], options: Mapping[str, Mapping[str, Any]
             raise invalid(run.path, f'no reduction for runs of kind "{kind}"{did_you_mean(kind, registry.all_kinds())}')
     found: list[Analysis] = []
     for members in grouped(ordered, _whose).values():
-        kinds = grouped(members, reduction_of)
-        analyses = [_reduced(kind, of, (options or {}).get(kind)) for kind, of in kinds.items()]
+        analyses = _of_specimen(grouped(members, reduction_of), options or {})
         difference = compared(analyses)
         found += analyses if difference is None else [*analyses, difference]
     return found
@@ -100,6 +99,18 @@ def reduce_together(form: str, runs: Sequence[RunData]) -> list[Analysis]:
         kinds = ", ".join(dict.fromkeys(run.kind for run in runs))
         raise UsageError(f"--form {form} takes runs of kind {', '.join(rows)}; these are of kind {kinds}")
     return [_reduced(form, members, {"rows": rows}) for members in specimens.values()]
+
+
+def _of_specimen(kinds: Mapping[str, Sequence[RunData]], options: Mapping[str, Mapping[str, Any]]) -> list[Analysis]:
+    """One analysis for each kind, in their order; kinds that use results of other tests are reduced last."""
+    analyses: dict[str, Analysis] = {}
+    for name in sorted(kinds, key=lambda name: bool(registry.kind_of(name).after)):
+        kind, asked = registry.kind_of(name), options.get(name)
+        if kind.after:
+            others = {other: _offers(analysis) for other, analysis in analyses.items()}
+            asked = {**kind.part("after")(others), **(asked or {})}
+        analyses[name] = _reduced(name, kinds[name], asked)
+    return [analyses[name] for name in kinds]
 
 
 def _offers(analysis: Analysis) -> list[Offer]:

@@ -1,4 +1,5 @@
-"""How reports are written to files, how their pages are rendered, the short page for what is no report, and kept pages.
+"""How reports are written to files, how their pages are rendered, the short page for what is no report, the card of a
+bench, and kept pages.
 
 A page is one self-contained HTML file; every text on it is escaped. The page of the last report of stored analyses is
 kept next to them: the same report once more is a copy. Imports little, so that a copy costs no more than looking
@@ -10,6 +11,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -156,3 +158,30 @@ def kept(place: Path, key: str) -> KeptPage | None:
         if key and head["key"] == key and head["sha256"] == hashlib.sha256(body).hexdigest():
             return KeptPage(body.decode(), head["since"], head["remarks"])
     return None
+
+
+LETTERS = {24: 7.4, 31: 6.6}
+SMALLEST = 5.0
+"""Rows up to which letters are so large [pt], and their size on a card with more."""
+
+
+def write_card(card: Mapping[str, Any], path: Path) -> Path:
+    """Write the card (the fields of `pmabench.bench.card.Card`) to `path`; raises RecordError where it cannot be."""
+    return write_file(path, render_card(card), "the card")
+
+
+def render_card(card: Mapping[str, Any]) -> str:
+    """The card of a bench, which prints on one A4 page, as text; every value is escaped."""
+    context = {**card, "version": __version__, "size": letter_size(card)}
+    return render("bench_card.html.j2", context, nb=unbroken)
+
+
+def letter_size(card: Mapping[str, Any]) -> float:
+    """Size of the letters [pt] by the number of rows; a card with very many may take a second page."""
+    rows = sum(len(card[part]) for part in ("limits", "channels", "outputs", "watch", "vent", "failures", "lacks"))
+    return next((size for most, size in LETTERS.items() if rows <= most), SMALLEST)
+
+
+def unbroken(text: object) -> str:
+    """The text with its numbers kept next to their units."""
+    return re.sub(r"(?<=\d) (?=\S)", "\u00a0", str(text))

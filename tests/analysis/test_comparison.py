@@ -15,8 +15,8 @@ from pmabench.base.errors import UsageError
 from pmabench.cli.report import read_overlays
 from pmabench.kinds.contraction_relaxation import reduction as contraction
 from pmabench.kinds.contraction_relaxation.segments import gather
-from pmabench.report.figures.overlays import with_published
-from pmabench.report.pages.comparison_page import rows_of
+from pmabench.report.comparison_page import rows_of
+from pmabench.report.overlays import with_published
 from pmabench.store.analyses.results import PUBLISHED, Analysis, Estimate, Parts, Source
 from tests.analysis.coverage_study import CHANNELS, campaign
 from tests.analysis.simulate import contraction_run, rig

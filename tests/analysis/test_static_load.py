@@ -8,11 +8,12 @@ from functools import cache
 import numpy as np
 import pytest
 
+from pmabench.kinds.reduce import reduce_runs
 from pmabench.kinds.static_load import line
 from pmabench.kinds.static_load.reduction import reduce
 from pmabench.store.analyses.results import Analysis
 from pmabench.store.records import RunData, TrialData
-from tests.analysis.simulate import LOADS, rig, static_run
+from tests.analysis.simulate import LOADS, contraction_run, rig, static_run
 
 
 @cache
@@ -135,6 +136,10 @@ def test_traces_show_points_and_lifts():
         assert trace.marks["set-down"] < trace.marks["lift"]
 
 
+def reported_stiffness(*points: tuple[float, float, float]) -> dict[str, object]:
+    return {"stiffness": {"from": "contraction-relaxation", "points": [list(point) for point in points]}}
+
+
 @pytest.mark.parametrize("seed", [1, 2])
 def test_f_ce_is_that_at_x_0(seed: int):
     """Plant paper0: a lifted load hangs 0.3 to 0.5 mm above its support, K x is 3 N, and half of that would be missing."""
@@ -159,13 +164,31 @@ def of_results(x: float) -> list[TrialData]:
     return trials
 
 
-def test_where_the_way_down_is_not_recorded_half_of_k_x_is_in_the_interval():
+def test_where_the_way_down_is_not_recorded_k_of_another_test_carries_set_down_to_x_0():
     run = replace(study("ideal")[0], trials=tuple(of_results(0.5e-3)))
-    analysis = reduce([run])
-    assert at(analysis, "static-mean")[2e5] == pytest.approx(195.0)
-    for e in (e for e in analysis.estimates if e.method == "static-mean" and e.at):
-        assert abs(e.value - 1e-3 * e.at["pressure"]) < e.parts.combined
-    assert any("half of K x there is still in F_ce" in f.text for f in analysis.findings)
+    alone, next_to = reduce([run]), reduce([run], reported_stiffness((2e5, 20e3, 400.0)))
+    assert at(next_to, "static-mean") == pytest.approx({P: 1e-3 * P for P in (1e5, 1.5e5, 2e5, 2.5e5, 3e5)})
+    assert at(alone, "static-mean")[2e5] == pytest.approx(195.0)
+    assert any("process a test of K together" in f.text for f in alone.findings)
+    assert at(next_to, "static-lift") == pytest.approx(at(alone, "static-lift")), "the paper's own sides stay as found"
+
+
+def test_a_k_that_is_uncertain_widens_f_ce():
+    run = replace(study("ideal")[0], trials=tuple(of_results(0.5e-3)))
+    narrow, wide = (reduce([run], reported_stiffness((2e5, 20e3, half))) for half in (0.0, 8000.0))
+    first, second = (next(e for e in a.estimates if e.method == "static-mean" and e.at) for a in (narrow, wide))
+    assert second.value == pytest.approx(first.value)
+    assert second.parts.method == pytest.approx(first.parts.method + 2.0, abs=0.05), "half of 8 N/mm times 0.5 mm"
+
+
+def test_k_comes_from_the_contraction_test_that_is_processed_together():
+    bench = rig("paper0", "bench")
+    cells = [(load, P) for load in LOADS[1:6:2] for P in (3e5, 4e5, 5e5)]
+    runs = [static_run(bench, LOADS[::4], repeats=2), contraction_run(bench, cells)]
+    static, steps, _ = reduce_runs(runs)
+    assert [static.kind, steps.kind] == ["static-load", "contraction-relaxation"]
+    assert static.facts["options"]["stiffness"]["from"] == "contraction-relaxation"
+    assert all(e.corrected for e in static.estimates if e.method == "static-mean" and e.at)
 
 
 def turning(w):

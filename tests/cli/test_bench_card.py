@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from pmabench.bench.card import make_card
 from pmabench.bench.compile import mount, mount_alone
 from pmabench.cli.main import main
-from pmabench.report.pages.bench_card import SMALLEST, letter_size, render_card
+from pmabench.report.writing import SMALLEST, letter_size, render_card
 from tests.bench.benches import SPECIMEN, rig
 from tests.browser import CHROMIUM, NOT_RUN
 

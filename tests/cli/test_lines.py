@@ -5,7 +5,7 @@ import os
 import pytest
 
 from pmabench.base.errors import Interrupted
-from pmabench.cli.operator import AtLines
+from pmabench.cli.outcome import AtLines
 
 
 class Input:
@@ -27,7 +27,7 @@ class Input:
 def test_only_the_word_counts_and_readings_keep_their_case(monkeypatch, capsys, realtime):
     there = Input("yes\nCLEAR\n 58.86 N \n")
     monkeypatch.setattr("sys.stdin", there)
-    monkeypatch.setattr("pmabench.cli.operator.say", there.type)
+    monkeypatch.setattr("pmabench.cli.outcome.say", there.type)
     lines = AtLines(realtime=realtime)
     assert lines.ask("Put 6 kg on.", {"pressure": 1500.0}, lambda: None) == "clear"
     assert lines.line("reading ", lambda: None) == "58.86 N"

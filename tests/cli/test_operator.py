@@ -6,7 +6,7 @@ from contextlib import suppress
 import pytest
 
 from pmabench.base.errors import Interrupted
-from pmabench.cli.operator import AtLines
+from pmabench.cli.outcome import AtLines
 
 
 class Input:

@@ -138,7 +138,7 @@ def test_only_the_word_for_the_question_counts(answer, counts, ends):
 
 def test_without_a_terminal_there_are_plain_lines(folder, ends):
     ours, theirs = ends
-    command = [sys.executable, "-m", "pmabench.display", str(folder), "--link", str(theirs.fileno())]
+    command = [sys.executable, "-m", "pmabench.display.console", str(folder), "--link", str(theirs.fileno())]
     child = subprocess.Popen(command, pass_fds=[theirs.fileno()], stderr=subprocess.PIPE, text=True)
     theirs.close()
     link = Link(ours)

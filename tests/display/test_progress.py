@@ -2,7 +2,7 @@
 
 import pytest
 
-from pmabench.display.progress import Progress
+from pmabench.display.state import Progress
 from pmabench.store.records import Event
 from tests.display.recorded import BASELINE, HOLD, LENGTH, plan
 

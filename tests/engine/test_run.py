@@ -11,7 +11,7 @@ import pytest
 
 from pmabench.base.errors import DeviceError, RecordError
 from pmabench.bench.interface import Identity
-from pmabench.cli.operator import AtLines
+from pmabench.cli.outcome import AtLines
 from pmabench.engine import ending
 from pmabench.engine import run as run_module
 from pmabench.engine.bench_checks import refuse_twice
@@ -171,7 +171,7 @@ def test_hands_need_a_person_or_yes():
 def test_the_prompt_shows_the_pressure_wants_the_word_and_waits_three_seconds(monkeypatch, capsys):
     read, write = os.pipe()
     monkeypatch.setattr("sys.stdin", SimpleNamespace(fileno=lambda: read))
-    monkeypatch.setattr("pmabench.cli.operator.say", lambda _text: os.write(write, b"yes\n\nclear\n"))
+    monkeypatch.setattr("pmabench.cli.outcome.say", lambda _text: os.write(write, b"yes\n\nclear\n"))
     outcome = execute(one_trial(*STEPS["hold"]), operator=AtLines(realtime=False))
     assert outcome.status == "finished"
     assert "Measured pressure:" in capsys.readouterr().err

@@ -8,8 +8,7 @@ import pytest
 from pmabench.cli.dry_run import _expected
 from pmabench.kinds.contraction_relaxation.values import METHOD
 from pmabench.kinds.reduce import reduce_runs
-from pmabench.report.bends import bend_of, slopes_of
-from pmabench.report.certificate.force_chart import Level, _levels
+from pmabench.report.certificate.force_chart import Level, _levels, bend_of, slopes_of
 from pmabench.report.certificate.result_table import result_table
 from pmabench.report.files.simulator_models import control_model, control_text, mujoco_model, rates
 from tests.analysis.judged import as_run

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from pmabench.plotting import pictures
+from pmabench.report import coefficient_figures
 from pmabench.report.document.content import content_of
 from pmabench.report.document.deviations import Issuer, deviations
 from pmabench.report.document.provenance import methods_paragraph
 from pmabench.report.document.special_tables import budget_table, change_rows
 from pmabench.report.document.tables import trial_ranges
-from pmabench.report.figures import coefficient_figures
 from pmabench.report.foremost import verdict_of
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Source, Trace
 from pmabench.store.notes import Note

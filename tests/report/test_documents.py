@@ -12,9 +12,8 @@ import pypdf
 import pytest
 
 from pmabench.base.errors import UsageError
-from pmabench.report.document.content import content_of, page_of
+from pmabench.report.document.content import content_of, page_of, write_figures
 from pmabench.report.document.deviations import Said
-from pmabench.report.document.figure_files import write_figures
 from pmabench.report.document.pdf import pdf_bytes, write_pdf
 from pmabench.report.document.workbook import workbook_bytes, write_workbook
 from pmabench.store.analyses.results import Parts, Source

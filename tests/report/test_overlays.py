@@ -10,7 +10,7 @@ from pmabench.base.errors import InvalidFile
 from pmabench.cli.main import main
 from pmabench.cli.report import read_overlays
 from pmabench.report.document.content import content_of
-from pmabench.report.figures.overlays import Published, comparison_table, with_published
+from pmabench.report.overlays import Published, comparison_table, with_published
 from pmabench.store.analyses.folder import write_analysis
 from pmabench.store.analyses.results import Analysis, Estimate, Trace
 from tests.report.samples import all_analyses, contraction, render, static_load, truth
@@ -52,7 +52,7 @@ def test_values_that_stand_in_another_figure_are_not_compared():
     local = [
         Estimate("K", 1e4 * n, "N/m", "stiffness", "local", {"pressure": 3e5, "contraction": 0.01 * n}) for n in (1, 2)
     ]
-    with pytest.raises(InvalidFile, match="these runs have none"):
+    with pytest.raises(InvalidFile, match="matches no figure"):
         with_published([Analysis("isobaric-ramp", (), simulated=False, estimates=tuple(local))], [BOOK], None)
 
 

@@ -1,4 +1,4 @@
-"""K and B from the ringing of a known mass after steps, or the reason why there are none; also B/K and dead time.
+"""K and B from the ringing of a known mass after steps, or the reason why there are none.
 
 Uses measured steps of one load and one pair of pressures; the mass is taken as exact.
 """
@@ -7,17 +7,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from math import hypot, sqrt
+from math import sqrt
 
 import numpy as np
 
 from pmabench.analysis.shared.calibration import sentences
 from pmabench.analysis.shared.form import Doubt, weighed
-from pmabench.analysis.shared.samples import UNDECLARED
 from pmabench.analysis.shared.student import mean_with_half
 from pmabench.base.quantities import show
-from pmabench.kinds.recorded_step import delayed, motion
-from pmabench.kinds.recorded_step.delayed import Delayed, fit_delayed, fit_swings
+from pmabench.kinds.recorded_step import motion
+from pmabench.kinds.recorded_step.motion import Delayed, fit_swings
 from pmabench.kinds.recorded_step.step import Step
 from pmabench.store.analyses.results import Estimate, Parts, withhold
 from pmabench.store.records import Array
@@ -86,11 +85,11 @@ def possible_motions(
     `driven`: time [s], pressure [Pa], contraction [m], shapes (n,); `others`: the last two for other lags.
     """
     t, P, x = driven
-    nominal = fit_swings(t, P, x, delayed.place_of(best))
+    nominal = fit_swings(t, P, x, motion.place_of(best))
     first = nominal[0].place
-    found = delayed.alike(nominal)
+    found = motion.alike(nominal)
     for pressure, contraction in others:
-        found += delayed.alike(fit_swings(t, pressure, contraction, first))
+        found += motion.alike(fit_swings(t, pressure, contraction, first))
     least = min(one.rms for one in found)
     for lag in motion.LAGS:
         lagging = fit_swings(t, motion.behind(t, P, lag), x, first, nominal[0].rms)
@@ -172,87 +171,5 @@ def _unlike(step: Step, possible: Sequence[Delayed]) -> str:
     if share > ILL_FITTED:
         return f"the misfit is {share:.0%} of the stroke (trial {step.name})"
     if not all(one.bounded for one in possible):
-        return f"the motion is more than {show(delayed.FREE, 'time')} off the pressure (trial {step.name})"
-    return ""
-
-
-DRIVEN = "driven-delay"
-TO_MOTION = "command-to-motion"
-WIDEST = 0.5
-"""B/K is given if it lies within this share of its value for all motions that fit equally well."""
-LONGEST = 0.02
-"""A dead time with a wider interval than +- this [s] is withheld."""
-
-
-def times(at: Mapping[str, float], steps: Sequence[Step], late: float) -> list[Estimate]:
-    """B/K [s] at the pressure at the end of the steps, and the time from command to motion [s].
-
-    `late` [s]: assumed time between pressure and position where the record gives none. The delay behind the measured
-    pressure is free, so B/K does not depend on the pressure's stamps; the time from command to motion includes the
-    error of the position's stamps, as far as it is known.
-    """
-    names = tuple(step.name for step in steps)
-    rises = at["pressure"] > at["from"]
-    symbol = "tau_c" if rises else "tau_r"
-    B_K = Estimate(symbol, None, "s", "time", DRIVEN, at, n=len(steps), trials=names)
-    if why := _of_another_kind(steps):
-        return [replace(B_K, note=why)]
-    found = [fit_delayed(*step.driven, step.best) for step in steps]
-    if why := _no_time(steps, found):
-        return [replace(B_K, note=why)]
-    tau, of_tau = mean_with_half([one.tau for one in found])
-    where = f"B/K at {show(at['pressure'], 'pressure', 3)}, {'contracting' if rises else 'relaxing'}"
-    half = max(one.half_tau for one in found)
-    note = sentences(where, ONCE if of_tau is None else "")
-    undeclared = max(0.0 if step.declared else UNDECLARED for step in steps)
-    B_K = replace(B_K, value=tau, parts=Parts(of_tau, hypot(half, undeclared), 0.0), note=note)
-    if half > WIDEST * tau:
-        spread = f"+-{half / tau:.0%} for the motions that fit alike, accepted is +-{WIDEST:.0%}"
-        B_K = withhold(B_K, f"{where}, lies within {spread}: {INSTEAD}")
-    t_d = _to_motion(at, steps, found, late)
-    return [B_K] if t_d is None else [B_K, t_d]
-
-
-def _to_motion(
-    at: Mapping[str, float], steps: Sequence[Step], found: Sequence[Delayed], late: float
-) -> Estimate | None:
-    """The time from command to motion [s]; None where no step has a command."""
-    commanded = [(step, one) for step, one in zip(steps, found, strict=True) if not step.found]
-    if not commanded:
-        return None
-    dead, of_dead = mean_with_half([step.stamped + one.delay for step, one in commanded])
-    half = hypot(max(one.half_delay for _, one in commanded), max(step.onset_half for step, _ in commanded)) + late
-    names, parts = tuple(step.name for step, _ in commanded), Parts(of_dead, half, 0.0)
-    note = sentences(
-        "the time that the pressure takes to overcome friction is in it", "" if of_dead is not None else ONCE
-    )
-    value: float | None = dead
-    if half > LONGEST:
-        note = f"a delay of {show(dead, 'time', 2)} and the lag of the mass cannot be distinguished"
-        note = f"{note} (+- {show(half, 'time', 2)}): step under a lighter load, whose lag is shorter"
-        value, parts = None, Parts()
-    n = len(names)
-    return Estimate("t_d", value, "s", "time", DRIVEN, at, parts, n, note=note, trials=names, coordinate=TO_MOTION)
-
-
-def _of_another_kind(steps: Sequence[Step]) -> str:
-    """The reason why these motions have no B/K of their own; empty where they may have one."""
-    if min(step.best.D for step in steps) < RINGS:
-        return "the motion rings, and friction would be taken for damping: a known mass gives K and B of it"
-    if pulled := [step.name for step in steps if step.sprung]:
-        return f"a spring pulls, too (trial {pulled[0]}): the time constant is B over K and the spring together"
-    return ""
-
-
-def _no_time(steps: Sequence[Step], found: Sequence[Delayed]) -> str:
-    """Reason why the driven motion gives no B/K; empty if it does."""
-    for step, one in zip(steps, found, strict=True):
-        if one.rms > ILL_FITTED * abs(step.stroke):
-            share = one.rms / abs(step.stroke)
-            return f"the driven motion misses {share:.0%} of the stroke (trial {step.name}): friction, or a stop"
-        if not one.bounded:
-            return (
-                f"the motion is {show(one.delay, 'time', 2)} +- {show(one.half_delay, 'time', 2)} behind the measured "
-                f"pressure (trial {step.name}), as far as was looked: see to the clocks of both channels"
-            )
+        return f"the motion is more than {show(motion.FREE, 'time')} off the pressure (trial {step.name})"
     return ""

@@ -36,6 +36,7 @@ KIND = Kind(
     repeated_is="pressure at which the load is lifted",
     word="static load",
     offers="pmabench.kinds.static_load.reduction:offers",
+    after="pmabench.kinds.static_load.points:option_of",
     methods=METHODS,
     figures={"static": "pmabench.kinds.static_load.figures:points", "lift": "pmabench.kinds.static_load.figures:lifts"},
     imported=Imported(

@@ -43,7 +43,7 @@ def of_place(mean: Mean) -> Finding:
     if not mean.carried:
         text = "a lifted load hangs above its support when it breaks away again, and half of K x there is still in F_ce"
         text += " (within the method part): lift it by 2 mm and more, and record its way down"
-        return Finding("note", text)
+        return Finding("note", f"{text}; or process a test of K together, which takes it off")
     text = f"set-down broke away at a contraction of {show(points.place, 'length', 2)} on average"
     if mean.kept is not None:
         return Finding("note", f"{text}: lift and set-down are carried to x = 0")

@@ -21,7 +21,16 @@ from numpy.typing import NDArray
 
 from pmabench.analysis.shared import student
 from pmabench.analysis.shared.samples import noise_of
-from pmabench.kinds.static_load.points import MEAN, Points, along_ways, smoothed, times_of
+from pmabench.kinds.static_load.points import (
+    MEAN,
+    Carried,
+    Points,
+    Stiffness,
+    along_ways,
+    by_stiffness,
+    smoothed,
+    times_of,
+)
 from pmabench.store.records import Array, RunData, TrialData
 
 
@@ -267,7 +276,7 @@ UNTOLD = 0.5
 
 UNTESTED = 1.25
 """As UNEQUAL, where no load was raised: hysteresis that reverses with the pressure shifts the mean by about the half
-difference, in a muscle that also has dry friction.
+difference, in a muscle that also has dry friction. Also where half of K x at set-down is in the mean.
 """
 
 
@@ -287,6 +296,8 @@ class Mean:
     """Whether the loads were raised, so that hysteresis would show."""
     why: str = ""
     """Why F_ce is withheld; empty where it is not."""
+    short: bool = False
+    """Whether a load's way is too short to correct for K x at set-down, and no other test gives K."""
 
     @property
     def friction(self) -> float | None:
@@ -306,7 +317,7 @@ class Mean:
         """Half width [N] of the mean's systematic error, for `row` @ (a, s); for s as if the error were proportional to
         pressure.
         """
-        share = UNTESTED if not self.raised else UNEQUAL if self.kept is None else UNTOLD
+        share = UNTESTED if self.short or not self.raised else UNEQUAL if self.kept is None else UNTOLD
         friction = share * abs(self.friction or 0.0)
         place = 0.5 * self.points.uncertain * self.line.s if self.carried else 0.0
         loop = 0.0 if self.kept is None else float(np.nanmax(self.kept.half))
@@ -314,12 +325,17 @@ class Mean:
         return whole if row[0] else whole / float(np.nanmean(self.points.side(MEAN)))
 
 
-def mean_of(runs: Sequence[RunData], plain: Points) -> Mean | None:
+def mean_of(runs: Sequence[RunData], plain: Points, slope: float, stiffness: Stiffness | None) -> Mean | None:
     """The line through the means of both directions, corrected for K x and hysteresis where the record shows them."""
     trials = {trial.name: trial for run in runs for trial in run.trials}
     own = [trials[name] for name in plain.names]
     before = fit_side(plain, MEAN)
-    moved = _carried(own, plain)
+    ways = [
+        (trial, {"lift": lift, "set-down": down})
+        for trial, lift, down in zip(own, plain.lift, plain.set_down, strict=True)
+    ]
+    moved = _carried(ways, plain, slope, stiffness)
+    short = moved is None and any(along_ways(*way) is None for way in ways)
     points = plain if moved is None else moved
     if before is None or (line := fit_side(points, MEAN)) is None:
         return None
@@ -332,23 +348,37 @@ def mean_of(runs: Sequence[RunData], plain: Points) -> Mean | None:
         without = fit_side(points, MEAN)
         if without is None:
             return None
-        return Mean(points, without, before, moved is not None, held)
+        return Mean(points, without, before, moved is not None, held, short=short)
     seen = [still for trial, when, one in zip(own, times, gap, strict=True)
             if (still := rests(trial, when, one)) is not None]  # fmt: skip
     raised = sum(loop is not None for loop in loops) > 0.5 * len(loops)
     why = YIELDS if seen and not raised and np.mean(seen) < 0.5 else ""
-    return Mean(points, line, before, moved is not None, None, raised, why)
+    return Mean(points, line, before, moved is not None, None, raised, why, short)
 
 
-def _carried(trials: Sequence[TrialData], points: Points) -> Points | None:
-    """The points of `trials` with lift and set-down corrected to x = 0; None where a way is too short, or where the
-    corrections do not improve the result.
+def _carried(
+    found: Sequence[tuple[TrialData, Mapping[str, float]]], points: Points, slope: float, stiffness: Stiffness | None
+) -> Points | None:
+    """The points of trials, each with its lift and set-down, with both corrected to x = 0; None where no method
+    improves all of them.
+
+    K of another test is used only where the load's own motion is too short or too uneven, since it may apply to another
+    contraction.
     """
-    found = [along_ways(trial, down) for trial, down in zip(trials, points.set_down.tolist(), strict=True)]
-    if None in found:
+    ways: list[list[Carried | None]] = [[along_ways(*one) for one in found]]
+    if stiffness is not None:
+        ways.append([by_stiffness(*one, slope, stiffness) for one in found])
+    return next((moved for way in ways if (moved := _moved(points, way)) is not None), None)
+
+
+def _moved(points: Points, way: Sequence[Carried | None]) -> Points | None:
+    """The points with the corrections; None where a set-down has none, or where they do not improve the result."""
+    if None in way:
         return None
-    lift, down, half, place = np.array([(one.lift, one.set_down, one.half, one.place) for one in found if one]).T
+    lift, down, half, place = np.array([(one.lift, one.set_down, one.half, one.place) for one in way if one]).T
+    if not np.isfinite(place[np.isfinite(points.set_down)]).all():
+        return None
     taken = 0.5 * float(np.nanmean(points.lift + points.set_down - lift - down))
     if 0.5 * float(half.mean()) > ADDS * abs(taken):
         return None
-    return replace(points, lift=lift, set_down=down, uncertain=float(half.mean()), place=float(place.mean()))
+    return replace(points, lift=lift, set_down=down, uncertain=float(half.mean()), place=float(np.nanmean(place)))

@@ -2,7 +2,10 @@
 
 A lifted load hangs a little above its support, at x_s, until friction releases it, so set-down belongs to F_ce(P) = F_L
 + K x_s - f and not to F_L - f. Lines x over P along the load's first 2 mm up and last 2 mm down, evaluated at x = 0,
-have K at the right contraction, and friction of either direction.
+have K at the right contraction, and friction of either direction. Where the load moved less, K comes from another test:
+with s = dF_ce/dP, P - K x/s is the pressure that the same friction would need at x = 0. Friction increases with the
+ramp until break-away and decreases after it, so the smallest P - K x/s on the way down, and the largest on the way up,
+belong to break-away.
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ from numpy.typing import NDArray
 
 from pmabench.analysis.shared.samples import NotUsable, noise_of, on_time, step_of
 from pmabench.analysis.shared.trials import measured_trials
+from pmabench.analysis.verdict.agreement import Offer
 from pmabench.store.analyses.results import Dropped
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -36,7 +40,7 @@ class Points:
     lift: Array
     set_down: Array
     uncertain: float = 0.0
-    """Half width of a corrected set-down because of its way [Pa], mean of the trials."""
+    """Half width of a corrected set-down because of K [Pa], mean of the trials."""
     place: float = 0.0
     """Contraction at which set-down broke away [m], the mean over trials."""
     step: float = 0.0
@@ -198,6 +202,45 @@ SMOOTH = 0.1
 """Averaging time of pressure and displacement [s]: the ramps are slow, and the pressure is noisy."""
 
 
+@dataclass(frozen=True, eq=False)
+class Stiffness:
+    """K [N/m] with its half width over pressure [Pa], shapes (n,); linear in between."""
+
+    P: Array
+    K: Array
+    half: Array
+    kind: str
+    """Kind of the test from which it comes."""
+
+    @classmethod
+    def of(cls, option: Any) -> Stiffness | None:
+        """From the option `stiffness` in the form of `option_of`; None without it."""
+        if not isinstance(option, Mapping):
+            return None
+        P, K, half = np.array(option["points"], dtype=np.float64).T
+        return cls(P, K, half, str(option["from"]))
+
+    def at(self, P: float) -> tuple[float, float]:
+        """K and its half width [N/m] at a pressure [Pa]; constant beyond the ends."""
+        return float(np.interp(P, self.P, self.K)), float(np.interp(P, self.P, self.half))
+
+
+def option_of(others: Mapping[str, Sequence[Offer]]) -> dict[str, Any]:
+    """The option `stiffness` of a static-load test from the offers of other kinds of test; empty where none has K.
+
+    K is the one at x = 0 if a test has it; of several tests the one with the narrowest interval is used.
+    """
+    known = []
+    for kind, offers in others.items():
+        mine = [offer for offer in offers if (offer.symbol, offer.words, offer.side) == ("K", "", 0)]
+        found = {P: offer.at((P, 0.0)) or e for offer in mine for (P, _), e in offer.points.items()}
+        rows = [[P, e.value or 0.0, e.parts.combined or 0.0] for P, e in sorted(found.items())]
+        if rows:
+            share = max(half / abs(K) if K and half else np.inf for _, K, half in rows)
+            known.append((share, {"stiffness": {"from": kind, "points": rows}}))
+    return min(known, key=lambda one: one[0])[1] if known else {}
+
+
 NEAR = (0.8e-3, 2e-3)
 """Smallest and largest contraction of the ways up and down that are fitted [m]: the curve is bent near 0."""
 LIFTED, LASTS = 0.02e-3, 8.0
@@ -214,20 +257,20 @@ SLIP = 3.5
 
 @dataclass(frozen=True)
 class Carried:
-    """Lift and set-down of a trial, corrected to x = 0 [Pa]."""
+    """Lift and set-down of a trial, corrected to x = 0: pressures [Pa]; NaN where a search found nothing."""
 
     lift: float
     set_down: float
     half: float
     """Half width that the correction adds to their sum [Pa]."""
     place: float
-    """Contraction at the break-away of set-down [m]."""
+    """Contraction at the break-away of set-down [m]; NaN where it could not be corrected."""
 
 
-def along_ways(trial: TrialData, set_down: float) -> Carried | None:
+def along_ways(trial: TrialData, found: Mapping[str, float]) -> Carried | None:
     """Lift and set-down of a trial by a line through the load's way up and one through its way down.
 
-    `set_down`: pressure of its search [Pa]. None where a way is too short.
+    `found`: phase -> pressure [Pa] of its search. None where a way is too short.
     """
     times = times_of(trial)
     if not {"pressure", "displacement"} <= set(trial.channels) or not np.isfinite(list(times.values())).all():
@@ -247,7 +290,7 @@ def along_ways(trial: TrialData, set_down: float) -> Carried | None:
     )
     if up is None or down is None:
         return None
-    place = (set_down - down[0]) / down[1]
+    place = (found["set-down"] - down[0]) / down[1]
     return Carried(up[0], down[0], float(np.hypot(up[2], down[2])), max(0.0, place))
 
 
@@ -272,3 +315,31 @@ def _at_0(P: Array, x: Array, least: float) -> tuple[float, float, float] | None
         left, at_0, steep, curved = 2 * bent, float(start), float(slope), 0.0  # the end of a parabola is less certain
     slips = max(1.0, span / (SLIP * left)) if left > 0 else 1.0
     return at_0, steep, float(np.hypot(4 * left / np.sqrt(slips), curved)) * steep
+
+
+def by_stiffness(trial: TrialData, found: Mapping[str, float], slope: float, stiffness: Stiffness) -> Carried:
+    """Lift and set-down of a trial with K of another test; `slope` is dF_ce/dP [N/Pa], the rest as in `along_ways`."""
+    times = times_of(trial)
+    lift, set_down, half, place = found["lift"], found["set-down"], 0.0, float("nan")
+    for phase, up in (("lift", True), ("set-down", False)):
+        if not np.isfinite(found[phase]):
+            continue
+        K, of_K = stiffness.at(found[phase])
+        rows = _way(trial, phase, times)
+        P, x = found[phase], float((trial.found.get(phase) or {}).get("displacement", 0.0))
+        if rows is not None:
+            at_0 = rows[0] - K / slope * rows[1]
+            at = int(np.argmax(at_0) if up else np.argmin(at_0))
+            P, x = float(rows[0][at]), float(rows[1][at])
+        if up:
+            lift = P - K / slope * x
+        else:
+            set_down, half, place = P - K / slope * x, of_K / slope * abs(x), x
+    return Carried(lift, set_down, half, place)
+
+
+def _way(trial: TrialData, phase: str, times: Mapping[str, float]) -> tuple[Array, Array] | None:
+    """Smoothed pressure and displacement along the slow ramp that ended at the crossing; None where not recorded."""
+    ramps = [c.t for c in trial.commands if c.kind == "ramp" and c.phase == phase and c.t < times[phase]]
+    begin = max(ramps, default=-np.inf if phase == "lift" else times["lift"])
+    return smoothed(trial, times, begin, times[phase])

@@ -23,6 +23,7 @@ from pmabench.kinds.static_load.points import (
     MEAN,
     SET_DOWN,
     Points,
+    Stiffness,
     on_time_run,
     points_of,
     step_in,
@@ -48,8 +49,9 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     the error is in P.
 
     A lifted load hangs above its support when it breaks away again: the mean is of pressures corrected to x = 0 along
-    the load's own way down; lines by lift or set-down alone are the paper's, uncorrected. Hysteresis that a raised load
-    shows is subtracted, otherwise the interval covers it (`line`).
+    the load's own way down, or with the option `stiffness` (K over pressure from another test of the specimen,
+    `points.option_of`) where that is too short; lines by lift or set-down alone are the paper's, uncorrected.
+    Hysteresis that a raised load shows is subtracted, otherwise the interval covers it (`line`).
     """
     step = step_in(runs)
     runs = [on_time_run(run) for run in runs]
@@ -57,7 +59,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     plain = replace(plain, step=step, zero=zero_moved(runs))
     estimates, curves, findings = list[Estimate](), list[Curve](), list[Finding]()
     sides = {method: line for method in (LIFT, SET_DOWN) if (line := fit_side(plain, method)) is not None}
-    mean = mean_of(runs, plain) if SET_DOWN in sides else None
+    stiffness = Stiffness.of((options or {}).get("stiffness"))
+    mean = mean_of(runs, plain, sides[SET_DOWN].s, stiffness) if SET_DOWN in sides else None
     lines: dict[str, Line] = ({} if mean is None else {MEAN: mean.line}) | sides
     points = plain if mean is None else mean.points
     scales = Scales.of(runs)

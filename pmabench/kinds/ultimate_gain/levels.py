@@ -1,5 +1,6 @@
-"""One ultimate-gain trial: its levels, the line through them, and reasons against it.
+"""K_u and T_u by a rising gain: the levels of each trial, the line through them, and reasons against it.
 
+For each level of gain the mean ln of the ratio of successive swings; K_u is the zero of a line through the last levels.
 Conditions of a sustained oscillation: ratio 0.95 to 1.05, swings above six times the noise, command inside its range,
 periods within 5 %, a sine and not a triangle, and growth independent of the size of the swings.
 """
@@ -8,16 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import log, nan, sqrt
+from math import hypot, log, nan, sqrt
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmabench.analysis.shared import student
 from pmabench.analysis.shared.samples import noise_of
 from pmabench.analysis.shared.signals import SKIPPED, Swinging, describe, mode_amplitudes
 from pmabench.base.quantities import show
-from pmabench.kinds.ultimate_gain.ways import Examined, Pair
+from pmabench.kinds.ultimate_gain.ways import Examined, GainCell, Pair
+from pmabench.store.analyses.results import Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, TrialData
 
 STEEPEST = 0.3
@@ -269,3 +272,81 @@ def _doubts(nearest: Level, ratios: Array, friction: float) -> list[str]:
     if abs(friction) > FRICTION["doubt"]:
         doubts.append(f"growth depends on the swing, as with friction: worth {abs(friction):.1%} of K_u")
     return doubts
+
+
+METHOD = "gain-steps"
+ALONE = "one trial: the repeats part is the scatter about its own line, and repeated tests may scatter more"
+CURVED = (0.008, 0.0015)
+"""Relative error of K_u and of T_u because growth and period over the gain are no lines: up to 0.7 and 0.1 % in 45
+loops.
+"""
+
+
+@dataclass(frozen=True)
+class LevelsCell(GainCell[TrialFound]):
+    """All trials with a rising gain at one operating point."""
+
+    methods = (METHOD,)
+
+    def _estimate(self, place: int, method: str) -> Estimate:
+        good = [one.found for one in self.good]
+        if not good:
+            return self.empty(place, method)
+        pairs = [found.pair for found in good]
+        mean = float(np.mean([pair.value[place] for pair in pairs]))
+        friction = 0.0 if place else max(found.friction for found in good)
+        parts = Parts(method=hypot(CURVED[place], friction) * mean)
+        return self.estimate(place, method, self.good, pairs, parts, (), alone=ALONE)
+
+    def findings(self) -> list[Finding]:
+        """Problems of the trials, and K_u and T_u."""
+        lines = self.said()
+        K_u, T_u = (estimate.value for estimate in self.estimates)
+        if K_u is None or T_u is None:
+            return lines
+        text = f"at {self.where} the loop oscillates at K_u = {show(K_u, 'gain', 4)}, T_u = {T_u:.4g} s"
+        return [*lines, Finding("note", text)]
+
+    def traces(self) -> list[Trace]:
+        """The oscillation nearest to K_u, and the growth plot."""
+        trial, found, K_u = self.shown.trial, self.shown.found, self.estimates[0].value
+        if not found.levels:
+            return []
+        at = next((i for i, level in enumerate(found.levels) if level is found.nearest), len(found.levels) - 1)
+        near = found.levels[max(0, at - 1) : at + 2]
+        mask = (trial.t >= near[0].t0) & (trial.t <= near[-1].t1)
+        if not mask.any():
+            return []
+        columns: dict[str, Array] = {
+            "t": trial.t[mask] - trial.t[mask][0],
+            "displacement": trial.channels["displacement"][mask],
+            "pressure_command": _command(trial, found, mask),
+        }
+        marks = {} if K_u is None else {"K_u": K_u}
+        setpoint = {"setpoint": self.at.get("setpoint", 0.0)}
+        traces = [self.trace("oscillation", "Oscillation nearest to the ultimate gain", columns, setpoint | marks)]
+        measured = [level for level in found.levels if level.swinging is not None]
+        if measured:
+            gains = np.array([level.gain for level in measured])
+            slope, start = found.zero.line
+            columns = {
+                "gain": gains,
+                "log_ratio": np.array([level.log_ratio for level in measured]),
+                "fit": start + slope * gains,
+                "period": np.array([level.period for level in measured]),
+                "used": np.array([float(level in found.used) for level in measured]),
+            }
+            traces.append(self.trace("growth", "Growth per half period", columns, marks))
+        return traces
+
+
+def _command(trial: TrialData, found: TrialFound, mask: NDArray[np.bool_]) -> Array:
+    """The command [Pa], as recorded, else worked out from the law u = bias + K_p (aim - x) of each level."""
+    if "pressure_command" in trial.channels:
+        return np.asarray(trial.channels["pressure_command"][mask])
+    t, x = trial.t[mask], trial.channels["displacement"][mask]
+    command = np.full(len(t), np.nan)
+    for level in found.levels:
+        at = (t >= level.t0) & (t <= level.t1)
+        command[at] = found.bias + level.gain * (level.aim - x[at])
+    return command

@@ -240,10 +240,7 @@ def _with_spread(
     doubts += [] if flow is None else [_flow(flow, truth, ends([(flow.small(regulator), moved)]))]
     if other := ends([found.other] if found.other is not None else []):
         doubts.append((Doubt("delay or filter of the gauge", "method", 0.0, False), _apart(other[0], truth)))
-    read = ends(form.read_in_steps(parts[0], cycles[0], lag, fitted, sizes))
-    if read:
-        shares = np.array([_apart(one, read[0]) for one in read[1:]])
-        doubts.append((Doubt(STEPS, "method", 0.0, False), 2 * np.sqrt(np.mean(shares**2, axis=0))))
+    doubts.append((Doubt(STEPS, "method", 0.0, False), form.read_in_steps(samples[1:], sizes)))
     spans = np.max([_apart(end, truth) for end in sides] or [(0.0, 0.0)], axis=0).tolist()
     return replace(known, loop=loop, cycles=tuple(single), spans=(spans[0], spans[1]), departures=tuple(doubts))
 

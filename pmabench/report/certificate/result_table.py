@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from pmabench.plotting.wording import clean, number, point_shown, rounded, shown, symbol_text
-from pmabench.report.bends import slopes_of
+from pmabench.report.certificate.force_chart import slopes_of
 from pmabench.report.document.tables import cell, matrix_table, two_coordinates
 from pmabench.report.foremost import reasons, richest
 from pmabench.report.words import declared

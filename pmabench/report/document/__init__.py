@@ -2,5 +2,5 @@
 
 - `content`, also as an HTML page, made of `provenance` (with methods and citation),
   `deviations` (with notes, and a checklist), `tables`, `special_tables`; tables ready for any format: `grids`
-- `pdf`, `workbook`, `figure_files` (each figure as an SVG file)
+- `pdf`, `workbook`
 """

@@ -21,7 +21,9 @@ from pmabench.kinds.reduce import verdicts
 from pmabench.plotting import wording
 from pmabench.plotting.chart import to_svg
 from pmabench.plotting.pictures import Picture
+from pmabench.plotting.svg import as_file
 from pmabench.plotting.wording import printed
+from pmabench.report import overlays
 from pmabench.report.certificate.interactive import assets, chart_data
 from pmabench.report.certificate.sheet import Sheet, sheet_of
 from pmabench.report.document import provenance, tables
@@ -30,8 +32,7 @@ from pmabench.report.document.grids import Grid, grid, narrow
 from pmabench.report.document.provenance import citation, methods_paragraph
 from pmabench.report.document.special_tables import budget_table, change_tables, check_tables, reduced_with
 from pmabench.report.document.special_tables import who as who_changed
-from pmabench.report.figures import overlays
-from pmabench.report.figures.figures import kind_pictures
+from pmabench.report.figures import kind_pictures
 from pmabench.report.foremost import Tile, Verdict, tiles_of, verdict_of
 from pmabench.report.words import declared, described, distinct, kind_title
 from pmabench.report.writing import render, write_file
@@ -310,3 +311,19 @@ def _named(text: str, names: Mapping[str, str]) -> str:
     for run in sorted(names, key=len, reverse=True):
         text = re.sub(re.escape(run) + r"/(?=\d)", f"{names[run]} / ", text).replace(run, names[run])
     return printed(text)
+
+
+FONT = "Inter, Helvetica, Arial, sans-serif"
+CAPTIONS = "captions.txt"
+
+
+def write_figures(content: Content, folder: Path) -> Path:
+    """Write each figure as SVG, numbered as in the report, and `captions.txt`; the folder. Raises RecordError."""
+    lines = [f"{content.title}\n"]
+    for item in [*content.front, *(figure for section in content.sections for figure in section.figures)]:
+        short = re.sub(r"[^a-z0-9]+", "-", item.picture.title.lower()).strip("-")[:50].strip("-")
+        name = f"{item.n:02d}-{short or 'figure'}.svg"
+        write_file(folder / name, as_file(item.picture.svg, FONT), "the figure")
+        lines.append(f"{name}\n  Figure {item.n}: {item.picture.title}. {item.picture.caption}\n")
+    write_file(folder / CAPTIONS, "\n".join(lines), "the captions")
+    return folder

@@ -21,7 +21,7 @@ from pmabench import __version__
 from pmabench.base.errors import UsageError
 from pmabench.plotting.pictures import has
 from pmabench.plotting.wording import clean
-from pmabench.report.bends import bend_of, slopes_of
+from pmabench.report.certificate.force_chart import bend_of, slopes_of
 from pmabench.store.analyses.results import Analysis, Trace
 from pmabench.store.records import Array, RunData
 

@@ -25,8 +25,8 @@ from pmabench.plotting.pictures import (
     spread,
 )
 from pmabench.plotting.wording import COLUMNS, clean, shown
+from pmabench.report import coefficient_figures
 from pmabench.report.certificate.force_chart import FIGURE
-from pmabench.report.figures import coefficient_figures
 from pmabench.store.analyses.results import Analysis, Trace
 
 GENERIC = 6

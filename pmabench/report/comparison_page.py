@@ -14,9 +14,9 @@ from pmabench.analysis.verdict import comparison
 from pmabench.analysis.verdict.comparison import Change, Difference, Side, percent
 from pmabench.plotting.pictures import drawable
 from pmabench.plotting.wording import Frame, clean, point_text, shown, symbol_text
+from pmabench.report.coefficient_figures import over_pressure
 from pmabench.report.document.special_tables import change_rows
-from pmabench.report.figures.coefficient_figures import over_pressure
-from pmabench.report.figures.overlays import Comparison, comparison_table
+from pmabench.report.overlays import Comparison, comparison_table
 from pmabench.report.terminal import print_grid
 from pmabench.report.words import declared
 from pmabench.report.writing import Page, TextTable, write_page
