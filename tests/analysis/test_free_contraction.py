@@ -94,6 +94,24 @@ def test_both_sides_and_repeats_give_intervals_that_hold_the_truth(both):
     assert unexplained(found) == []
 
 
+def test_zeros_of_several_days_are_no_other_form(both):
+    """Pressures split over three days with a zero each, within what is declared: a to e were withheld."""
+    channels = both.channels | {"pressure": replace(both.channels["pressure"], offset_uncertainty=1.5e3)}
+    days = []
+    for day, zero in enumerate((1.2e3, -1.2e3, 0.4e3)):
+        trials = [
+            replace(trial, channels=trial.channels | {"pressure": trial.channels["pressure"] + zero})
+            for trial in both.trials
+            if sorted({t.point["pressure"] for t in both.trials}).index(trial.point["pressure"]) % 3 == day
+        ]
+        days.append(replace(both, id=f"d{day}", manifest={}, channels=channels, trials=tuple(trials)))
+    found = reduce(days)
+    for name, true, unit in zip("abcde", sigmoid(1.0, 30)[1], (1e-2, 1e-2, 1e5, 1, 1), strict=True):
+        low, high = value(found, "L", name).ci95
+        assert low < true * unit < high
+    assert value(found, "L", "c").parts.combined < 0.1 * 0.747e5
+
+
 def changed(run, change):
     trials = []
     for trial in run.trials:

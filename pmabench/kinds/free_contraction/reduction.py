@@ -21,6 +21,7 @@ from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.isometric_lines import spread
 from pmabench.analysis.shared.samples import OF_TWO, STEPS, NotUsable, left
+from pmabench.analysis.shared.trials import session_of
 from pmabench.analysis.trial import DRIFT, Expected, Found, Measured, Quick
 from pmabench.analysis.verdict.agreement import Offer, Place, between
 from pmabench.base.quantities import show
@@ -54,7 +55,7 @@ UNKNOWN = ("a", "b", "c", "d", "e")
 UNITS = {"length": "m", "pressure": "Pa", "count": "1", "ratio": "1"}
 RESIDUALS = "repeats part: residuals of the fit; no method part: that of L is not carried into the coefficients"
 MOTION, ZERO, NOISE = "motion after the hold", "contraction left without pressure", "noise of pressures near 0"
-PRESSURE = "zero of the pressure"
+PRESSURE, DAYS = "zero of the pressure", "zeros from session to session"
 ONE_WAY = "friction where both sides came from one"
 PART = {ZERO: "drift", PRESSURE: "calibration"}
 FLOOR = 5e-4
@@ -96,14 +97,15 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     points, dropped = points_of(runs)
     scales = Scales.of(runs)
     points, fit, why, zero, said = _with_zero(points, length, scales)
-    other = "" if fit is None else _other_form(points, fit) or _unseen(points, fit)
+    zeros = np.empty((0, len(points))) if fit is None else _zeros(points, fit, scales)
+    other = "" if fit is None else _other_form(points, fit, zeros) or _unseen(points, fit)
     fits = fit is not None and fit.converged and not other
     shape = through(points, fit if fit is not None and fit.converged else None)
     shifted = {} if fit is None or other else _shifted(points, length, shape, zero)
     levels = [Level.of(point, shape, OPEN * abs(zero), fits=fits) for point in points]
     points = [level.point for level in levels]
     estimates = _weighed(_lengths(levels, length, scales), points, length)
-    estimates += _coefficients(fit, why, other, shifted, points, length, scales)
+    estimates += _coefficients(fit, why, other, shifted, points, length, scales, zeros)
     findings = [
         *figures.of_points(points),
         *said,
@@ -253,16 +255,38 @@ def _pressure_over_x(points: Sequence[Point]) -> float:
     return abs(float((P[after] - P[after - 1]) / max(abs(x[after] - x[after - 1]), 1e-9)))
 
 
-def _other_form(points: Sequence[Point], fit: ModelFit) -> str:
+def _zeros(points: Sequence[Point], fit: ModelFit, scales: Scales) -> Array:
+    """Change of the lengths by the zero of each channel in one session after the other, at its uncertainty [m], shape
+    (m, n); none for one session, whose zeros are in all lengths alike.
+    """
+    sessions = [[session_of(rest.run) for rest in point.rests] for point in points]
+    names = sorted({name for mine in sessions for name in mine})
+    share = np.array([[mine.count(name) / len(mine) for mine in sessions] for name in names if len(names) > 1])
+    by = _by_offset(fit, _leverage(fit)[1])
+    each = [share.reshape(-1, len(points)) * scales.offsets.get(channel, 0.0) * by[channel] for channel in by]
+    return np.concatenate(each)
+
+
+def _by_offset(fit: ModelFit, computed: Shape) -> dict[str, Array]:
+    """Derivative of each length by the offset of each channel, shape (n,)."""
+    P = fit.columns["pressure"]
+    below, above = np.maximum(P - PRESSED, 0.0), np.minimum(P + PRESSED, highest(fit.model))
+    return {"pressure": -(computed(above) - computed(below)) / (above - below), "displacement": -np.ones_like(P)}
+
+
+def _other_form(points: Sequence[Point], fit: ModelFit, zeros: Array) -> str:
     """Reason why the sigmoid is not the form of these lengths, with numbers; empty where it may be.
 
-    A length may be off by three times its error: the pooled scatter of repeats, and at least `FLOOR` of the largest
-    contraction.
+    A length may be off by three times its error: the pooled scatter of repeats, at least `FLOOR` of the largest
+    contraction, and zeros that differ between sessions (`_zeros`).
     """
     freedom = sum(len(point.repeats) - 1 for point in points)
     squares = sum(float(np.sum((point.repeats - point.x) ** 2)) for point in points)
     scatter = np.sqrt(squares / max(1, freedom) / np.array([len(point.repeats) for point in points]))
     error = np.hypot(np.hypot(scatter, FLOOR * max(abs(point.x) for point in points)), [p.coarse for p in points])
+    leverage = _leverage(fit)[0]
+    apart = zeros - zeros @ (np.linalg.pinv(leverage) @ leverage).T  # what the fit to the moved lengths leaves
+    error = np.hypot(error, 0.5 * np.linalg.norm(apart, axis=0))
     off = np.abs(fit.computed - fit.measured)
     if not error.all():
         return ""  # nothing contracted
@@ -359,10 +383,8 @@ def _errors(fit: ModelFit, points: Sequence[Point], length: float) -> tuple[dict
     """
     leverage, computed = _leverage(fit)
     P, x = fit.columns["pressure"], length - fit.measured
-    below, above = np.maximum(P - PRESSED, 0.0), np.minimum(P + PRESSED, highest(fit.model))
-    rises = (computed(above) - computed(below)) / (above - below)
-    moved = {"gain": {"pressure": -rises * P, "displacement": -x},
-             "offset": {"pressure": -rises, "displacement": -np.ones_like(x)}}  # fmt: skip
+    offset = _by_offset(fit, computed)
+    moved = {"gain": {"pressure": offset["pressure"] * P, "displacement": -x}, "offset": offset}
     scaled = {kind: {c: STEEPER * leverage @ by for c, by in each.items()} for kind, each in moved.items()}
     stepped = np.linalg.norm(leverage * [point.coarse for point in points], axis=1)
     freedom = sum(len(point.repeats) - 1 for point in points)
@@ -377,7 +399,7 @@ def _errors(fit: ModelFit, points: Sequence[Point], length: float) -> tuple[dict
 
 def _coefficients(
     fit: ModelFit | None, why: str, other: str, shifted: Mapping[str, ModelFit], points: Sequence[Point],
-    length: float, scales: Scales,
+    length: float, scales: Scales, zeros: Array,
 ) -> list[Estimate]:  # fmt: skip
     """The coefficients a to e; not identifiable ones without an interval; withheld for the reason `other` if given.
 
@@ -386,6 +408,7 @@ def _coefficients(
     quantities = {p.name: p.quantity for p in MODELS[FORM].parameters}
     none = np.zeros(len(UNKNOWN))
     scaled, scattered, stepped = ({}, none, none) if fit is None else _errors(fit, points, length)
+    of_days = none if fit is None else STEEPER * np.linalg.norm(_leverage(fit)[0] @ zeros.T, axis=1)
     found = []
     for place, name in enumerate(UNKNOWN):
         quantity = quantities[name]
@@ -401,6 +424,7 @@ def _coefficients(
             for way, one in shifted.items()
         ]
         doubts.append(Doubt(STEPS, "method", float(stepped[place]), seen=False))
+        doubts.append(Doubt(DAYS, "calibration", float(of_days[place]), seen=False))
         found.append(withhold(e, other) if other and value is not None else weighed(e, doubts))
     return found
 
