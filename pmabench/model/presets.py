@@ -261,6 +261,7 @@ NOT_FOR: tuple[tuple[tuple[str, ...], Callable[[Setup], bool], str], ...] = (
     (("hysteresis_x", "hysteresis_p", "creep", "bend", "first_cycle"),
      lambda setup: not isinstance(setup.muscle, RealMuscle), "; it is for the plant real"),
     (("F_s", "F_c"), lambda setup: isinstance(setup.muscle, RealMuscle), ": its friction is its hysteresis"),
+    (("parallel", "hose"), lambda setup: isinstance(setup.muscle, RealMuscle), ": it is one muscle without air"),
     (("b_relax",), lambda setup: isinstance(setup.muscle, Arm), ": it has one damping"),
     (("F_s", "F_c", "b_relax"), lambda setup: not isinstance(setup.muscle, Muscle | Arm | RealMuscle),
      ": it has no friction and no damping by speed"),

@@ -24,6 +24,8 @@ from pmabench.engine.operator import ConfirmedBeforehand
 from pmabench.engine.run import run_plan
 from pmabench.kinds.compile import make_plan
 from pmabench.kinds.reduce import reduce_runs
+from pmabench.model.overrides import Overrides
+from pmabench.model.presets import preset
 from pmabench.store.reader import open_run
 from tests.analysis.driven_runs import ROOT, recorded
 
@@ -195,5 +197,5 @@ def test_two_of_30_cm_end_to_end_are_one_of_60_cm_where_the_connector_is_left_ou
 def test_the_mock_takes_whole_muscles_at_a_driven_end_only():
     with pytest.raises(DeviceError, match="driven free end"):
         read_options("plant", {"parallel": 4})
-    with pytest.raises(DeviceError, match="no use for it"):
-        read_options("plant", {"parallel": 4, "plant": "real", "free_end": "actuator"})
+    with pytest.raises(ValueError, match="it is one muscle without air"):
+        preset("real", "bench", Overrides(parallel=4.0))
