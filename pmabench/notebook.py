@@ -105,9 +105,10 @@ class Run:
     def trial(self, number: int) -> pd.DataFrame:
         """Samples of a trial: time [s], channels and flags; UsageError if there is no such trial.
 
-        Of several attempts the last one is used.
+        Of several attempts the finished one is used, which is the last good one, or else the last.
         """
         found = [trial for trial in self.data.trials if trial.number == number]
+        found.sort(key=lambda trial: trial.status == "finished")
         if not found:
             numbers = sorted({trial.number for trial in self.data.trials})
             available = f"it has trials {numbers[0]} to {numbers[-1]}" if numbers else "it has none"

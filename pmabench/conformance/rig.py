@@ -212,8 +212,11 @@ class Rig:
         self._armed = False
         self._served = served = _rewritten(record, lambda _: f"127.0.0.1:{free_port()}", lambda _: self._far())
         self._emulator: Any = None
-        with suppress(UsageError):
+        self._unserved = ""
+        try:
             self._emulator = _emulator(served, wiring)
+        except UsageError as error:
+            self._unserved = str(error)
         try:
             self.record = served if self._emulator is None else _rewritten(served, self._tcp, self._serial)
         except BaseException:
@@ -258,7 +261,7 @@ class Rig:
         """The emulator; raises Failed without one."""
         if self._emulator is None:
             raise Failed(
-                f"{self.record.driver} has no emulator, and nothing else is tried: give it one (docs/drivers.md)"
+                f"{self.record.driver} has no emulator, and nothing else is tried (docs/drivers.md): {self._unserved}"
             )
         return self._emulator
 

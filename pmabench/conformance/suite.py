@@ -12,6 +12,7 @@ import sys
 import tempfile
 import threading
 from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import closing
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -277,10 +278,10 @@ def _verdict(
     subject: Subject, check: Callable[[Rig], str], needs: Sequence[Need], attempts: int = ATTEMPTS
 ) -> tuple[str, str]:
     with tempfile.TemporaryDirectory(prefix="pmabench-conformance-") as folder:
-        rig = Rig(subject.record, Path(folder), subject.wiring)
         try:
-            missing = next((sentence for has, sentence in needs if not has(rig)), "")
-            return (r.NOT_APPLICABLE, missing) if missing else (r.PASSED, check(rig))
+            with closing(Rig(subject.record, Path(folder), subject.wiring)) as rig:
+                missing = next((sentence for has, sentence in needs if not has(rig)), "")
+                return (r.NOT_APPLICABLE, missing) if missing else (r.PASSED, check(rig))
         except r.NotChecked as reason:
             return r.NOT_CHECKED, str(reason)
         except r.Late as failure:
@@ -288,6 +289,6 @@ def _verdict(
                 return r.FAILED, f"{failure}, and so it was {ATTEMPTS} times"
         except r.Failed as failure:
             return r.FAILED, str(failure)
-        finally:
-            rig.close()
+        except DeviceError as error:  # not of the driver, whose errors are results of its calls
+            return r.FAILED, f"the emulator: {error}"
     return _verdict(subject, check, needs, attempts - 1)

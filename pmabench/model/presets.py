@@ -210,8 +210,10 @@ class Setup:
         Raises
         ------
         ValueError
-            For a muscle without a free-end model, or a load outside the model's range.
+            For a muscle without a free-end model, a load outside the model's range, or rubber that relaxes.
         """
+        if self.relaxes is not None:
+            raise ValueError("relaxes is for a driven end")
         if isinstance(self.muscle, Arm):
             return ArmPlant(self.muscle, self.regulator, force=force, mass=mass, start=start)
         if isinstance(self.muscle, RealMuscle):
@@ -251,6 +253,7 @@ class Setup:
 
 
 NOT_FOR: tuple[tuple[tuple[str, ...], Callable[[Setup], bool], str], ...] = (
+    (("fce_eval",), lambda _: True, ": it is for the plant dmsp-40-305"),
     (("hysteresis",), lambda setup: setup.hysteresis is None, "; it is for the plant daerden"),
     (("relaxes",), lambda setup: isinstance(setup.muscle, Muscle | Arm | RealMuscle), "; it is for the plant daerden"),
     (("conductance_fill", "conductance_vent", "polytropic"), lambda setup: setup.air is None,
@@ -276,8 +279,6 @@ def preset(plant: str, kind: str = "bench", overrides: Overrides | None = None) 
     """
     if plant not in PLANTS:
         raise ValueError(f'no plant "{plant}"; known: {", ".join(PLANTS)}')
-    if overrides and overrides.fce_eval is not None and plant != "dmsp-40-305":
-        raise ValueError(f"fce_eval is for the plant dmsp-40-305; what {plant} calls F_ce is taken at x = 0")
     setup = Setup(reference(), Regulator(dead_time=DEAD_TIME, lag=BENCH_LAG), BENCH_NOISE, BENCH_FOLLOW_LAG)
     if plant == REAL:
         return changed(replace(setup, regulator=REAL_REGULATOR), kind, overrides)
@@ -285,8 +286,9 @@ def preset(plant: str, kind: str = "bench", overrides: Overrides | None = None) 
         return changed(replace(setup, muscle=Arm(friction=ARM_FRICTION), noise=ARM_NOISE), kind, overrides)
     if plant in MUSCLES:
         muscle = replace(MUSCLES[plant](), friction=COULOMB if plant == "dmsp-40-305" else BENCH_FRICTION)
-        if overrides and overrides.fce_eval is not None:
+        if plant == "dmsp-40-305" and overrides and overrides.fce_eval is not None:
             muscle = replace(muscle, F_ce=dmsp_40_305(overrides.fce_eval).F_ce)
+            overrides = replace(overrides, fce_eval=None)
         setup = replace(setup, muscle=muscle)
         if plant != "paper0-air":
             return changed(setup, kind, overrides)

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -240,6 +241,17 @@ def test_an_export_says_that_it_is_simulated(own, tmp_path):
     run = back(tmp_path, text)
     assert run.simulated
     assert "SIMULATED" in run.id
+
+
+@pytest.mark.parametrize("status", ["excluded", "superseded", "failed", "interrupted", "again"])
+def test_a_trial_that_no_fit_takes_does_not_come_back(own, tmp_path, status):
+    run, _, _ = own("contraction-relaxation")
+    left_out = {"again": True} if status == "again" else {"status": status}
+    trials = tuple(replace(trial, **left_out) if trial.number == 2 else trial for trial in run.trials)
+    export_run(Run(replace(run, trials=trials)), "csv", tmp_path)
+    again = back(tmp_path, map_text(guess_files([tmp_path / "plant.csv"]), {}))
+    loads = [trial.point["load"] for trial in run.trials if trial.number != 2]
+    assert [trial.point["load"] for trial in again.trials] == pytest.approx(loads)
 
 
 def _step_of(dead, lag, noise, seed, rate=500.0, size=300e3):

@@ -18,6 +18,7 @@ from pmabench.bench.compile import mount
 from pmabench.bench.interface import device_from
 from pmabench.bench.plant import read_plant
 from pmabench.model.driven import Actuator
+from pmabench.model.overrides import Overrides
 from pmabench.model.presets import changed, preset, setup_of
 from pmabench.model.regulator import constant
 from tests.bench.benches import BENCHES, ROOT, SPECIMEN
@@ -69,6 +70,12 @@ def test_the_shipped_file_of_paper_1_is_its_preset_and_relaxes_as_it_does():
         ends.append(plant.advance(8.0, np.linspace(5.5, 8.0, 6)).x)
     assert ends[0] == pytest.approx(ends[1], rel=2e-3)
     assert ends[0][0] == pytest.approx(ends[0][-1] * math.exp(2.5 / 1.3675), rel=0.02), "by tau_r at 5 bar, not at 0"
+
+
+def test_a_plant_file_says_itself_where_f_ce_is_taken():
+    found = setup_of(read_plant(PLANTS / "dmsp-40-305.yaml").numbers)
+    with pytest.raises(ValueError, match="fce_eval is not for the muscle"):
+        changed(found, "bench", Overrides(fce_eval="xmax"))
 
 
 def test_each_way_to_write_a_coefficient(tmp_path):

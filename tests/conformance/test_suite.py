@@ -10,8 +10,10 @@ from random import Random
 import pytest
 from click.testing import CliRunner
 
+from pmabench.base.errors import DeviceError
+from pmabench.bench.interface import Truth
 from pmabench.cli.main import main
-from pmabench.conformance import PASSED, run
+from pmabench.conformance import FAILED, PASSED, rig, run
 from pmabench.conformance.relay import KINDS, Hostile
 from pmabench.conformance.suite import CHECKS, HOSTILE
 from tests.conformance import EXAMPLE_FOLDER as EXAMPLE
@@ -49,6 +51,24 @@ def test_a_package_of_somebody_else_is_found_by_its_name_when_it_is_installed(tm
     done = typed("conformance", "example", "--bench", bench, "--check", "valves", "--check", "imports", "--json")
     reported = json.loads(done.stdout)
     assert (done.returncode, [check["verdict"] for check in reported["checks"]]) == (0, [PASSED, PASSED])
+
+
+def test_a_truth_file_that_lacks_the_device_is_the_reason_why_nothing_is_tried():
+    lacking = replace(tried("example"), wiring=Truth("truths/ours.yaml", {}))
+    (result,) = run(lacking, hostile=0, only=["life"])
+    assert result.verdict == FAILED
+    assert 'truths/ours.yaml: says nothing of the device "controller" of the bench' in result.why
+
+
+def test_an_error_of_the_emulator_fails_its_check_and_the_others_go_on(monkeypatch):
+    def refuse(*_arguments):
+        raise DeviceError("controller", "no key was pressed")
+
+    monkeypatch.setattr(rig.Truth, "by_hand", refuse)
+    monkeypatch.setattr(rig.Truth, "bring", refuse)
+    results = list(run(tried("example"), hostile=0, only=["values", "interface"]))
+    assert [result.verdict for result in results] == [FAILED, PASSED]
+    assert results[0].why == "the emulator: controller: no key was pressed"
 
 
 def test_the_exit_code_says_that_a_check_failed():

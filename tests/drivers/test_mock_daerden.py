@@ -100,6 +100,11 @@ def test_an_option_that_a_plant_has_no_use_for_is_refused_when_it_is_opened(plan
         Rig(record(actuator=True, plant=plant, **option))
 
 
+def test_rubber_that_relaxes_is_of_a_driven_end():
+    with pytest.raises(DeviceError, match="relaxes is for a driven end"):
+        Rig(record(plant="contractor-30", relaxes=0.02))
+
+
 @pytest.mark.parametrize("plant", ["joint", "platform"])
 def test_a_joint_and_a_platform_have_none_of_them(plant):
     with pytest.raises(DeviceError, match=f"option noise: the plant {plant} has no use for it"):

@@ -1,6 +1,7 @@
 """The Python face: tables with units in their heads, equal to the record; the notebook in docs/ runs as it stands."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +36,15 @@ def test_tables_are_what_the_record_holds(folder):
     assert {"t [s]", "flags"} <= set(stream.columns)
     assert "time [ns]" in run.stream(raw=True).columns
     assert len(run.events) == len(record.events)
+
+
+def test_of_several_attempts_at_a_trial_the_finished_one_is_used(folder):
+    run = pmabench.open_run(folder)
+    first, *others = run.data.trials
+    assert first.status == "finished"
+    failed = replace(first, t=first.t + 60.0, status="superseded", attempt=2)
+    again = replace(run, data=replace(run.data, trials=(first, failed, *others)))
+    np.testing.assert_array_equal(again.trial(1)["t [s]"], first.t)
 
 
 def test_what_is_not_there_is_reported(folder, tmp_path):

@@ -71,7 +71,9 @@ def test_what_each_column_of_files_without_names_is_must_be_answered(tmp_path, l
     files = sorted((OLD / "isometric").glob("*.csv"))
     guess = guess_files(files)
     assert {role for role, _ in roles(guess).values()} == {"time", "ignore"}
-    assert guess.optional == ["column 4"]
+    assert [column.name for column in guess.columns if "some files lack it: add optional: true" in column.question] == [
+        "column 4"
+    ]
     assert set(guess.forms) == {"10mm_13cm_Unkinked_Test{test}", "10mm_13cm_Kinked{contraction}mm_Test{test}"}
     path = written(tmp_path, guess)
     answers = {
@@ -85,6 +87,24 @@ def test_what_each_column_of_files_without_names_is_must_be_answered(tmp_path, l
     runs = [open_run(run.path) for run in import_files(files, path, tmp_path / "runs", list(answers.items()))]
     assert {run.trials[0].point["contraction"] for run in runs} == {0.0, 0.004}
     assert runs[0].trials[0].channels["pressure"].max() == pytest.approx(640e3, rel=0.01)
+    path.write_text(path.read_text(encoding="utf-8").replace("# siblings:", "siblings:"), encoding="utf-8")
+    assert read_map(path, list(answers.items())).file.siblings == {"force": 0.3, "pressure": 0.1}
+
+
+def test_only_one_column_of_files_without_names_is_the_time(tmp_path):
+    """The clock of a shorter file stands in another column than that of a longer one."""
+    t = np.arange(100) * 0.01
+    still, moving = np.ones(100), np.sin(7 * t)
+    np.savetxt(tmp_path / "a.csv", np.column_stack([t, moving]), delimiter=",")
+    np.savetxt(tmp_path / "b.csv", np.column_stack([still, moving, t]), delimiter=",")
+    guess = guess_files([tmp_path / "a.csv", tmp_path / "b.csv"])
+    assert [column.role for column in guess.columns] == ["time", "ignore", "ignore"]
+    last = guess.columns[-1]
+    assert (last.name, last.question) == (
+        "column 3",
+        '"time" is the time too: what is column 3? Write what it is, or ignore; some files lack it: add optional: true',
+    )
+    assert guess.layout.names == ["time", "column 2", "column 3"]
 
 
 @pytest.mark.parametrize(

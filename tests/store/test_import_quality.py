@@ -1,5 +1,7 @@
 """Each fault that real files have is flagged and told where it is, and nothing is changed (promise R5)."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -169,8 +171,17 @@ def test_exchanged_columns_and_wrong_units_are_implausible():
     found = compare([*good, exchanged], {"force": 0.3, "pressure": 0.1})
     assert {finding.kind for finding in found[3]} == {"sibling"}
     assert all(finding.level == "fault" for finding in found[3])
+    assert compare([*good, exchanged], {}) == [[]] * 4, "without `siblings` in the map no peaks are compared"
     found = compare([*good, summary(100 / 9.80665)], {"force": 0.3})
     assert "kilograms for newtons" in found[3][0].text
+
+
+def test_slopes_of_opposite_sign_are_no_repeats():
+    """Of two that are exactly opposite the median is 0."""
+    files = [replace(summary(100.0), slope=slope) for slope in (1e-3, -1e-3)]
+    for (finding,) in compare(files, {}):
+        assert finding.withholds
+        assert "slopes over pressure of the files at its point are -1 N/kPa to 1 N/kPa" in finding.text
 
 
 def test_a_lone_sample_far_from_its_neighbours_is_a_spike():

@@ -69,13 +69,17 @@ def _run_csv(run: Run, frames: dict[str, pd.DataFrame], out: Path) -> list[Path]
 
 
 def _with_trials(run: Run, frame: pd.DataFrame) -> pd.DataFrame:
-    """The samples with the number of their trial (0: none), its operating point, and `simulated` where they are."""
+    """The samples with the number of their trial, its operating point, and `simulated` where they are.
+
+    Samples between trials have 0, and so have those of a trial that no fit takes: excluded by a note, superseded,
+    interrupted, or done again for comparison. Whoever imports the file would take any number for a good trial.
+    """
     t = frame["t [s]"].to_numpy()
     number = np.zeros(len(t), dtype=np.int64)
     points = dict.fromkeys(name for trial in run.data.trials for name in trial.point)
     columns = {headed(f"trial {name}", POINT_QUANTITIES.get(name, "")): np.full(len(t), np.nan) for name in points}
     for trial in run.data.trials:
-        if len(trial.t):
+        if len(trial.t) and trial.status == "finished" and not trial.again:
             rows = slice(*np.searchsorted(t, [trial.t[0] - 1e-9, trial.t[-1] + 1e-9]))
             number[rows] = trial.number
             for values, name in zip(columns.values(), points, strict=True):

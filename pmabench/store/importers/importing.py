@@ -77,7 +77,7 @@ def _steeper(file: Summary, others: Sequence[Summary]) -> list[Found]:
     """Finding for files at one point whose slopes differ too much for repeats: all are withheld."""
     slopes = [each.slope for each in (file, *others) if each.slope]
     usual = float(np.median(slopes)) if slopes else 0.0
-    alike = all(1.0 / ALIKE <= slope / usual <= ALIKE for slope in slopes)
+    alike = not slopes or (usual != 0.0 and all(1.0 / ALIKE <= slope / usual <= ALIKE for slope in slopes))
     if not file.slope or not file.trusted or alike:
         return []
     low, high = (show(end(slopes), "force per pressure", 4) for end in (min, max))

@@ -58,13 +58,13 @@ def loaded(path, truth=None):
 def test_a_truth_file_shows_a_wrong_scale_and_a_bench_that_is_its_own_truth_hides_it_and_says_so(tmp_path):
     path = believes_kg(tmp_path)
     with loaded(path, read_truth(find_file("truth", "wires"))) as true:
-        assert force(path) == pytest.approx(9.81 * true, abs=6.0)
+        assert force(path) == pytest.approx(9.81 * true, abs=0.2)
     with emulate(path, "--truth", "wires") as (_process, said):
         assert said["truth"].endswith("wires.yaml")
         assert "scales not proven" not in " ".join(probed(path).split())
     own = path.rename(tmp_path / "mine.yaml")
     with loaded(own) as true:
-        assert force(own) == pytest.approx(true, abs=0.6)
+        assert force(own) == pytest.approx(true, abs=0.2)
     with emulate(own) as (_process, said):
         assert said["truth"] is None
         assert "SIMULATED, scales not proven" in " ".join(probed(own).split())

@@ -83,8 +83,6 @@ class Guess:
     files: list[Path]
     layout: Layout
     columns: list[Proposal]
-    optional: list[str]
-    """Names of columns that some of the files lack."""
     left_out: list[str]
     kinds: Mapping[str, Imported]
     """Kind of test -> what it needs from a file."""

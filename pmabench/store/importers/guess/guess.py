@@ -63,7 +63,7 @@ def look(path: Path, kinds: Mapping[str, Imported]) -> Guess:
     if any(column.bare for column in columns):
         reasons.append("columns of a matrix have no names")
     choose(columns)
-    guess = Guess([path], layout, columns, [], [*others, *left_out], kinds, reasons={"file": reasons})
+    guess = Guess([path], layout, columns, [*others, *left_out], kinds, reasons={"file": reasons})
     if len(tests) > 1:
         _several(guess, tests, group[0], found)
     if guess.role("time") is None:
@@ -128,7 +128,7 @@ def _look_at_text(path: Path, guessed: TextGuess, kinds: Mapping[str, Imported])
         raise invalid(path, backward)
     every = {column.name: column for column in [*columns, *words]}
     reasons = {"file": guessed.reasons}
-    guess = Guess([path], guessed.layout, [every[name] for name in guessed.names], [], [], kinds, reasons=reasons)
+    guess = Guess([path], guessed.layout, [every[name] for name in guessed.names], [], kinds, reasons=reasons)
     time = guess.role("time")
     if time is not None and time.written == "index":
         time.period = time.period or guessed.interval
@@ -306,7 +306,7 @@ def _guess(files: Sequence[Path], kinds: Mapping[str, Imported]) -> Guess:
 
 
 def _alike(guess: Guess, path: Path) -> None:
-    """Compare another file, which must have the same layout; further columns at the end become optional."""
+    """Compare another file, which must have the same layout; without a header it may have more columns, or fewer."""
     other = look(path, guess.kinds)
     _mixed(guess, other)
     same = type(other.layout) is type(guess.layout)
@@ -317,13 +317,7 @@ def _alike(guess: Guess, path: Path) -> None:
         missing = sorted({*guess.layout.missing, *other.layout.missing})
         guess.layout = guess.layout.model_copy(update={"blank_lines": blank, "missing": missing})
         if same and guess.layout.header == "none":
-            longer = guess if len(guess.columns) >= len(other.columns) else other
-            shorter = other if longer is guess else guess
-            extra = [column.name for column in longer.columns[len(shorter.columns) :]]
-            guess.optional = sorted({*guess.optional, *extra})
-            if longer is other:
-                guess.columns += other.columns[len(guess.columns) :]
-                guess.layout = guess.layout.model_copy(update={"names": [column.name for column in guess.columns]})
+            _further(guess, other)
             return
     names, others = {column.name for column in guess.columns}, {column.name for column in other.columns}
     if not same or names != others:
@@ -331,6 +325,23 @@ def _alike(guess: Guess, path: Path) -> None:
         raise invalid(
             path, f"is laid out otherwise than {guess.files[0]}{f' ({text})' if text else ''}: guess them apart"
         )
+
+
+LACKED = "; some files lack it: add optional: true"
+
+
+def _further(guess: Guess, other: Guess) -> None:
+    """Take over the columns that another file without a header has at the end; ask about those of one file only."""
+    common = min(len(guess.columns), len(other.columns))
+    for place, column in enumerate(other.columns[common:], common + 1):
+        if column.role != "ignore" and (first := guess.role(column.role)) is not None:
+            question = f'"{first.name}" is the {column.role} too: what is column {place}? Write what it is, or ignore'
+            column.name, column.role, column.question = f"column {place}", "ignore", question
+        guess.columns.append(column)
+    for column in guess.columns[common:]:
+        if column.question and not column.question.endswith(LACKED):
+            column.question += LACKED
+    guess.layout = guess.layout.model_copy(update={"names": [column.name for column in guess.columns]})
 
 
 def _mixed(guess: Guess, other: Guess) -> None:

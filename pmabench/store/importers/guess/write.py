@@ -448,13 +448,21 @@ def _trials(guess: Guess, spans: Mapping[str, Span]) -> list[str]:
 
 
 def _siblings(guess: Guess) -> list[str]:
-    """Entry `siblings` for repeats of an isometric test: different peaks show a different scale."""
-    repeats = any("{test}" in form for form in guess.forms) and len(guess.files) > 1
-    if not guess.test.held or guess.role("force") is None or not repeats:
+    """Entry `siblings` for repeats of an isometric test: different peaks show a different scale.
+
+    A comment where columns without names leave open whether it is one.
+    """
+    if not any("{test}" in form for form in guess.forms) or len(guess.files) < 2:
         return []
-    return [
-        "siblings: {force: 30 %, pressure: 10 %}  # of files at one contraction: beyond it the scale is another one"
-    ]
+    line = "siblings: {force: 30 %, pressure: 10 %}  # of files at one contraction: beyond it the scale is another one"
+    if guess.test.held and guess.role("force") is not None:
+        return [line]
+    if any(column.bare and column.question for column in guess.columns):
+        return [
+            comment("if the muscle was held, with force and pressure among the columns without names:"),
+            f"# {line}",
+        ]
+    return []
 
 
 def _analysis(guess: Guess) -> list[str]:
