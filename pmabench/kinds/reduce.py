@@ -10,7 +10,7 @@ from typing import Any
 from pmabench.analysis.imported import in_time, without_doubtful
 from pmabench.analysis.shared.samples import with_motion
 from pmabench.analysis.shared.signals import without_spikes
-from pmabench.analysis.shared.trials import grouped, session_of
+from pmabench.analysis.shared.trials import grouped, session_of, six_digits
 from pmabench.analysis.verdict.acceptance import not_accepted, not_accepted_as_form
 from pmabench.analysis.verdict.agreement import KIND as AGREEMENT
 from pmabench.analysis.verdict.agreement import Offer, agreement, offers_of, side_by_side, without_diameter
@@ -175,13 +175,19 @@ def verdicts(runs: Sequence[RunData], analyses: Sequence[Analysis]) -> list[str]
 
 
 def _withheld(analysis: Analysis) -> list[str]:
-    """One sentence for each reason to withhold, with the values concerned: those of the first method of each symbol.
+    """One sentence for each reason to withhold, with the values concerned: those of the first method of each symbol at
+    each operating point, which gives or withholds a value there.
 
     Reasons that differ in their numbers and files alone are one reason, with those of the first value.
     """
-    first = {(e.symbol, e.coordinate): e.method for e in reversed(analysis.estimates)}
-    withheld = [e for e in analysis.estimates if e.withheld and e.method == first[e.symbol, e.coordinate]]
+    said = [e for e in analysis.estimates if e.value is not None or e.withheld]
+    first = {_key(e): e.method for e in reversed(said)}
+    withheld = [e for e in said if e.withheld and e.method == first[_key(e)]]
     return [_sentence(alike) for alike in grouped(withheld, _reason).values()]
+
+
+def _key(e: Estimate) -> tuple[object, ...]:
+    return e.symbol, e.coordinate, six_digits(e.at)
 
 
 def _reason(estimate: Estimate) -> str:

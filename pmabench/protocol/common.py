@@ -263,7 +263,6 @@ class Compilation:
 
     def plan(self, kind: str, settings: dict[str, Any]) -> Plan:
         """The finished plan."""
-        rest = self.head.prepare.rest
         return Plan(
             kind=kind,
             name=self.head.name,
@@ -273,7 +272,7 @@ class Compilation:
             record=tuple(self.head.record),
             trials=tuple(self.trials),
             steps=tuple(self.steps),
-            settings=settings | ({"rest": rest} if rest else {}),
+            settings=settings,
             accept=accept.for_plan(self, self.head.accept),
             hazards=tuple(self.hazards),
         )

@@ -63,11 +63,34 @@ def test_an_interval_names_its_place():
     [None, 7, [], "x", {"limits": 7}, {"limits": [7, None, {}]}, {"K": "x", "F_ce": True},
      {"limits": [{"what": 3, "measure": "at_most", "limit": 1}]},
      {"limits": [{"what": "K", "measure": "at_most", "limit": True}]},
-     {"limits": [{"what": "K", "measure": "else", "limit": 1.0}]},
      {"limits": [{"what": "K", "measure": "of_specimen", "limit": 1.0, "expected": [[1], ["x", 2], 3]}]}],
 )  # fmt: skip
 def test_what_is_no_limit_judges_nothing(accept):
     run = replace(as_run("contraction-relaxation", []), plan={"accept": accept})
+    K = Estimate("K", 6400.0, "N/m", "stiffness", "m", {"pressure": 3e5}, Parts(20.0))
+    assert verdicts([run], [Analysis(run.kind, (run.id,), True, (K,))]) == []
+
+
+@pytest.mark.parametrize(
+    ("accept", "name"),
+    [
+        ({"limits": [{"what": "K", "measure": "of_static", "limit": 0.05}]}, "K of_static"),
+        ({"static_E_n": 1.0, "limits": [{"what": "K", "measure": "relative_interval", "limit": 0.05}]}, "static_E_n"),
+        ({"limits": [{"what": "R2", "measure": "at_least", "limit": 0.99}]}, "R2 at_least"),
+        ({"K": 0.02}, "K"),
+    ],
+)
+def test_a_limit_of_an_older_version_is_not_met_unseen(accept, name):
+    """A run whose only limit was removed since was accepted."""
+    run = replace(as_run("contraction-relaxation", []), plan={"accept": accept})
+    K = Estimate("K", 6400.0, "N/m", "stiffness", "m", {"pressure": 3e5}, Parts(20.0))
+    reported = verdicts([run], [Analysis(run.kind, (run.id,), True, (K,))])
+    assert reported == [f"{name}: this limit is no longer known, so it is not judged"]
+
+
+def test_relative_intervals_beside_the_limits_of_a_plan_are_the_same_limits():
+    entry = {"what": "K", "measure": "relative_interval", "limit": 0.02}
+    run = replace(as_run("contraction-relaxation", []), plan={"accept": {"K": 0.02, "limits": [entry]}})
     K = Estimate("K", 6400.0, "N/m", "stiffness", "m", {"pressure": 3e5}, Parts(20.0))
     assert verdicts([run], [Analysis(run.kind, (run.id,), True, (K,))]) == []
 

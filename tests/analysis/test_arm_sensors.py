@@ -60,7 +60,9 @@ def test_zeros_within_their_calibration_are_in_the_intervals_of_the_angles_and_c
     for symbol in ("alpha_0", "alpha_max", "P_flat"):
         for one, other in zip(of(right, symbol, "angle-at-rest"), of(analysis, symbol, "angle-at-rest"), strict=True):
             assert abs(one.value - other.value) <= other.parts.combined
-    assert all(e.value is not None and e.parts.combined is None for e in of(analysis, "alpha_b", "logistic-up"))
+    fits = of(analysis, "alpha_b", "logistic-up")
+    assert fits
+    assert all(e.value is not None and e.parts.combined is None for e in fits)
     assert not [f for f in analysis.findings if f.level != "note"]
 
 
@@ -81,6 +83,9 @@ def test_an_angle_that_the_displacement_contradicts_is_wide_and_doubted():
         for one, other in zip(of(right, symbol, "angle-at-rest"), of(off, symbol, "angle-at-rest"), strict=True):
             assert abs(one.value - other.value) <= other.parts.combined
     assert any("one of their zeros is off" in f.text for f in off.findings if f.level == "doubt")
+    fits = [e for e in off.estimates if e.method == "logistic-up"]
+    assert fits
+    assert all(e.parts.combined is None for e in fits)
 
 
 def test_steps_that_no_noise_averages_out_are_in_the_gap():
@@ -112,4 +117,6 @@ def test_creep_that_is_slower_than_a_hold_is_in_the_intervals(share, times):
                 assert "not at rest" in e.note
             else:
                 assert low - e.parts.combined <= e.value <= high + e.parts.combined
-    assert all(e.parts.combined is None for e in of(analysis, "alpha_b", "logistic-up"))
+    fits = of(analysis, "alpha_b", "logistic-up")
+    assert fits
+    assert all(e.parts.combined is None for e in fits)

@@ -50,9 +50,14 @@ class Reported:
     names: frozenset[str]
     sure: bool
     """False: undecided, or withheld."""
-    accepted: bool
+    failed: tuple[str, ...]
+    """Why values are not accepted."""
     values: tuple[Value, ...]
     withheld: int
+
+    @property
+    def accepted(self) -> bool:
+        return not self.failed
 
     @property
     def right(self) -> bool:
@@ -75,7 +80,7 @@ def reported(asked: tuple[str, float, int]) -> Reported:
     values, withheld = compared(analyses[0], truth(cause, size, seed), slope(cause, size, seed))
     sure = form["state"] in ("sound", "corrected", "doubtful") and all(one["alone"] for one in form["explanations"])
     return Reported(
-        cause, size * FULL[cause], seed, frozenset(names), sure, not verdicts([run], analyses), values, withheld
+        cause, size * FULL[cause], seed, frozenset(names), sure, tuple(verdicts([run], analyses)), values, withheld
     )
 
 
@@ -157,4 +162,5 @@ def test_three_properties_of_a_muscle_at_once_are_distinguished():
     one = reported(("several", 1.0, 0))
     assert one.right
     assert one.sure
+    assert any("not sure all at once" in text for text in one.failed)
     assert not [v for v in one.values if v.error > 2 * v.half]

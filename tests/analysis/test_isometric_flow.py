@@ -56,6 +56,16 @@ def test_volume_and_flow_are_those_of_the_closed_form(found, x):
     assert any(f"{1e3 * x:g} mm: 0." in f.text and "l/min (ANR)" in f.text for f in found.findings)
 
 
+def test_a_run_whose_flow_a_known_vessel_scaled_gives_no_volume(run):
+    """The factor of an older plan was no longer read: V was 5 % off in an interval of 2 %."""
+    flow = {**run.plan["settings"]["flow"], "gain": 1.05, "gain_half": 0.004}
+    scaled = reduce([replace(run, plan={**run.plan, "settings": {**run.plan["settings"], "flow": flow}})])
+    assert not [e for e in scaled.estimates if e.symbol in ("V", "q")]
+    assert [one.trial for one in scaled.dropped if "a known vessel (times 1.05)" in one.reason] == [
+        trial.name for trial in run.trials
+    ]
+
+
 def test_without_its_zero_the_meter_is_3_5_percent_off(run, found):
     """0.5 % of 5 l/min over the time of the ramp and its rest, of the mass at 10 %: by the samples as they are."""
     trial = run.trials[1]

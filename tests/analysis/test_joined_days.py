@@ -61,6 +61,8 @@ def test_days_that_differ_by_a_percent_have_means_with_their_scatter(changed):
     assert all(abs(e.value - TRUE[e.symbol](e.at["pressure"])) < e.parts.combined < 0.1 * e.value for e in given)
     assert not any(e.withheld for e in values(analysis))
     assert sum(f.text.startswith("the 3 sessions do not fit one muscle") for f in analysis.findings) == 1
+    assert not any("the cause is unknown" in f.text for f in analysis.findings)
+    assert analysis.facts["form"]["state"] == "sessions"
     assert not analysis.curves
     assert analysis.facts["trials_used"] == sum(len(run.trials) for run in runs)
     (alone,) = reduce_runs(runs[:1], {"contraction-relaxation": {"replays": 0}})

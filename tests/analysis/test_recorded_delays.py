@@ -131,6 +131,7 @@ def test_two_loads_and_a_cell_give_no_stiffness_here_and_name_the_kind_that_take
     assert len(stiffness) == 8
     assert all(e.value is None and "a map of `kind: contraction-relaxation` gives K" in e.note for e in stiffness)
     taus = [e for e in found.estimates if e.symbol in ("tau_c", "tau_r")]
+    assert len(taus) == 4
     assert all(("a spring pulls, too" in e.note) == cell for e in taus)
 
 

@@ -140,6 +140,10 @@ def test_a_lag_that_is_declared_is_taken_off_a_step(slow, share):
 
 
 def test_a_lag_of_the_pressure_sensor_that_nobody_declares_makes_another_damping():
+    """A known fault: the record cannot tell such a lag from damping, and intervals hold filters of up to 5 ms only.
+
+    Values are outside their intervals until the lag is declared; tau_P less far since its interval holds those 5 ms.
+    """
     scores = off(steps.reduce([step_run("pressure", 0.012, 0.0)]), step_truth)
     assert all(scores.get(("B", P), 2.0) > 1 for P in (rung.LOW, rung.HIGH))
     assert min(scores["tau_P", *at] for at in [(rung.LOW, rung.HIGH), (rung.HIGH, rung.LOW)]) > 1.5

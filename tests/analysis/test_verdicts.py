@@ -72,8 +72,10 @@ def test_what_another_method_withholds_is_no_verdict_on_the_first():
         "K at pressure 300 kPa, mean 10 mm: withheld: creep"
     ]
     assert judged(K(None, None, note="no load moves"), other) == [
-        "sinusoidal-displacement: nothing came out: no load moves; only the order of 7.4 N/mm is known"
+        "K at pressure 300 kPa, mean 10 mm: withheld: only the order of 7.4 N/mm is known"
     ]
+    there = replace(K(None, None, method="relay", withheld=True, note="it hunts"), at={"pressure": 5e5})
+    assert judged(K(67.7), other, there) == ["K at pressure 500 kPa: withheld: it hunts"]
 
 
 def test_a_run_of_sines_that_went_slack_gives_nothing():

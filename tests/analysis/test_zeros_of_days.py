@@ -12,12 +12,35 @@ from tests.analysis.test_joined_days import CELLS, day, values
 KNOWN = {"pressure": 1.5e3, "displacement": 20e-6, "force": 1.0}
 
 
+LINE = "zero of force from session to session"
+
+
 @pytest.mark.parametrize("seed", range(3))
-def test_zeros_of_each_day_are_in_the_intervals_and_are_no_slip(seed):
+def test_zeros_of_each_day_are_in_the_intervals(seed):
+    """Small ones: of a tenth of what the calibration leaves open, two campaigns of three are already withheld."""
+    given = [e for e in values(campaign(seed, 0.05)) if e.value is not None and e.symbol in ("F_ce", "K", "B_c")]
+    assert len(given) == 9
+    assert all(abs(e.value - TRUE[e.symbol](e.at["pressure"])) < e.parts.combined for e in given), given
+    assert all(any(line.name == LINE and line.half > 0 for line in e.budget) for e in given)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_zeros_as_large_as_their_calibration_allows_are_no_slip_and_are_withheld_without_naming_a_cause(seed):
+    """Zeros of loads and a bend look alike with one load a day, and nothing of it is a value."""
+    analysis = campaign(seed, 0.5)
+    said = " ".join(f.text for f in analysis.findings)
+    assert "slipped" not in said
+    assert all(e.value is None for e in values(analysis))
+    assert ("of which these data do not make sure" in said) == (analysis.facts["form"]["ratio"] < 1.2)
+    assert ("the cause is unknown" in said) == (analysis.facts["form"]["ratio"] >= 1.2)
+
+
+def campaign(seed, share):
+    """The analysis of a load a day; zeros of each day by chance, `share` of `KNOWN` is their standard deviation."""
     chance, runs = np.random.default_rng(seed), []
     for number, weight in enumerate((60.0, 130.0, 200.0)):
         run = day(number)
-        off = {name: 0.5 * by * chance.standard_normal() for name, by in KNOWN.items() if name != "displacement"}
+        off = {name: share * by * chance.standard_normal() for name, by in KNOWN.items() if name != "displacement"}
         trials = [
             replace(trial, channels={name: y + off.get(name, 0.0) for name, y in trial.channels.items()})
             for trial, (load, _) in zip(run.trials, CELLS, strict=True)
@@ -28,7 +51,4 @@ def test_zeros_of_each_day_are_in_the_intervals_and_are_no_slip(seed):
             for name, one in run.channels.items()
         }
         runs.append(replace(run, trials=tuple(trials), channels=channels))
-    analysis = reduce(runs, {"replays": 2})
-    assert "slipped" not in " ".join(f.text for f in analysis.findings)
-    given = [e for e in values(analysis) if e.value is not None and e.symbol in ("F_ce", "K", "B_c")]
-    assert all(abs(e.value - TRUE[e.symbol](e.at["pressure"])) < e.parts.combined for e in given), given
+    return reduce(runs, {"replays": 2})

@@ -306,7 +306,11 @@ def test_the_rest_comes_before_the_first_trial_and_after_preconditioning():
     first = next(n for n, s in enumerate(compiled.steps) if isinstance(s, Record))
     assert [seconds for _, seconds in holds] == [1.0, 1.0, 1200.0]
     assert holds[-1][0] < first
-    assert compiled.settings["rest"] == 1200.0
+
+
+def test_the_rest_before_the_first_trial_is_not_that_of_the_strokes():
+    """It stood in the settings in its place, and windows before a ramp were 10 min long."""
+    assert plan("closed-volume", ("prepare", "{rest: 20 min}")).settings["rest"] == 2.0
 
 
 @pytest.mark.parametrize(

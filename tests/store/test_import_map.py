@@ -156,13 +156,18 @@ def test_forms_of_names():
             form_pattern(bad, False, set())
 
 
-@pytest.mark.parametrize("wrong", ["dead: -1", "temperature: 20", "temperature_half: 50", "gain: 0"])
+@pytest.mark.parametrize("wrong", ["dead: -1", "temperature: 20", "temperature_half: 50"])
 def test_a_meter_of_flow_is_within_what_a_protocol_may_say(tmp_path, wrong):
     """20 is degrees Celsius in place of kelvin: the volume would be fifteen times too small."""
     meter = {"dead": "12e-6", "dead_half": "1e-7"} | dict([wrong.split(": ")])
     text = ", ".join(f"{name}: {value}" for name, value in meter.items())
     [(line, _, message)] = problems_of(tmp_path, f"{GOOD}settings: {{flow: {{{text}}}}}\n")
     assert (line, wrong.split(": ")[1] in message, "should be" in message) == (len(GOOD.splitlines()) + 1, True, True)
+
+
+def test_a_factor_that_is_no_longer_read_is_no_key_of_a_meter(tmp_path):
+    meter = "{dead: 12e-6, dead_half: 1e-7, gain: 1.05}"
+    assert any("gain" in message for _, _, message in problems_of(tmp_path, f"{GOOD}settings: {{flow: {meter}}}\n"))
 
 
 def test_a_form_cannot_hang():

@@ -29,8 +29,6 @@ from pmabench.analysis.shared.samples import (
 from pmabench.base.quantities import show
 from pmabench.store.records import Array, Flag, RunData, TrialData
 
-RECOVERED = "of isobaric cycles: work given while contracting, over work taken up while expanding; air is not measured"
-"""Definition of eta, where it is reported."""
 MIDDLE = 0.25
 """Distance from mid stroke, over the amplitude, of samples from which the width there is taken."""
 PLACE = 0.02

@@ -1,6 +1,7 @@
 """Acceptance limits of a protocol: one sentence for each that an analysis exceeds, with limit, value and place.
 
-Limits are read from the plan (`accept`), which may be any file: invalid entries are ignored.
+Limits are read from the plan (`accept`), which may be any file: invalid entries are ignored, and limits that only an
+older version judged are not met.
 """
 
 from __future__ import annotations
@@ -65,6 +66,19 @@ def limits_of(run: RunData) -> list[Limit]:
     return [limit for entry in _list(limits.get("limits")) if (limit := _limit(entry)) is not None]
 
 
+def no_longer_known(run: RunData) -> list[str]:
+    """Limits in a run's plan, as text, that an older version judged and this one cannot."""
+    accept = run.plan.get("accept")
+    if not isinstance(accept, Mapping):
+        return []
+    named = [(e["what"], e.get("measure")) for e in _list(accept.get("limits"))
+             if isinstance(e, Mapping) and isinstance(e.get("what"), str)]  # fmt: skip
+    # plans also hold the relative intervals by name beside all limits; the oldest ones hold nothing else
+    plain = [what for what, limit in accept.items() if is_number(limit) and what not in {"limits", *dict(named)}]
+    removed = [f"{what} {measure}" for what, measure in named if isinstance(measure, str) and measure not in MEASURES]
+    return [*removed, *map(str, plain)]
+
+
 def _list(value: Any) -> Iterable[Any]:
     return value if isinstance(value, list | tuple) else ()
 
@@ -88,6 +102,7 @@ def not_accepted_as_form(
     runs: Sequence[RunData], analysis: Analysis, named: Callable[[Estimate], str]
 ) -> Iterator[str]:
     """As `not_accepted`, for a form of all tests: its intervals are judged, and any other limit counts as exceeded."""
+    yield from _not_judged(runs, analysis)
     given = {estimate.symbol for estimate in analysis.estimates}
     for limit in _limits(runs, analysis):
         if limit.measure != "relative_interval" or limit.what not in given:
@@ -102,11 +117,17 @@ def not_accepted(runs: Sequence[RunData], analysis: Analysis, named: Callable[[E
     Coefficients are those of the first method that gives them; where the specimen file expects no value they are not
     compared with it.
     """
+    yield from _not_judged(runs, analysis)
     for limit in _limits(runs, analysis):
         if limit.measure in ("relative_interval", "of_specimen"):
             yield from _of_coefficient(analysis, limit, named)
         elif why := _check(analysis, limit):
             yield why
+
+
+def _not_judged(runs: Sequence[RunData], analysis: Analysis) -> list[str]:
+    unknown = dict.fromkeys(name for run in runs if run.id in analysis.runs for name in no_longer_known(run))
+    return [f"{name}: this limit is no longer known, so it is not judged" for name in unknown]
 
 
 def _limits(runs: Sequence[RunData], analysis: Analysis) -> list[Limit]:

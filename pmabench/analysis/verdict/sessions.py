@@ -32,7 +32,7 @@ def with_sessions(together: Analysis, alone: Sequence[Analysis]) -> Analysis:
 
     The half width is by Student's t over the values of the sessions, where these differ by more than repeats (F test).
     Values of a single session are not changed. A value that is withheld because the sessions do not fit together, while
-    each of them gives it, is the mean of theirs.
+    each of them gives it, is the mean of theirs; the `state` of the form is then `sessions`.
     """
     values = [{_key(e): e for e in one.estimates if e.value is not None and not e.withheld} for one in alone]
     made, apart, differ = [], list[str](), _differ(together, alone)
@@ -47,8 +47,10 @@ def with_sessions(together: Analysis, alone: Sequence[Analysis]) -> Analysis:
             continue
         made.append(weighed(e, [Doubt(NAME, "repeats", sqrt(half**2 - before**2), False)]))
         apart.append(f"{e.symbol} (+- {show(half, e.quantity, 2)})")
-    found = []
+    found, facts, kept = [], together.facts, list(together.findings)
     if differ:
+        facts = {**facts, "form": {**facts["form"], "state": "sessions"}}
+        kept = [one for one in kept if not one.text.startswith("form: ")]
         text = f"the {len(alone)} sessions do not fit one muscle, and each by itself does: values are means of theirs, "
         text += "with intervals by Student's t over sessions. Look at mounting, temperature and wear"
         found.append(Finding("doubt", text))
@@ -56,7 +58,7 @@ def with_sessions(together: Analysis, alone: Sequence[Analysis]) -> Analysis:
         text = f"{len(apart)} values differ between the {len(alone)} sessions by more than repeats of one session do, "
         text += f"which is in their intervals: {', '.join(apart[:3])}{', ...' if len(apart) > 3 else ''}"
         found.append(Finding("note", text))
-    return replace(together, estimates=tuple(made), findings=(*together.findings, *found))
+    return replace(together, estimates=tuple(made), findings=(*kept, *found), facts=facts)
 
 
 def _differ(together: Analysis, alone: Sequence[Analysis]) -> bool:

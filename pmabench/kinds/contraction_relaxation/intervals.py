@@ -52,7 +52,10 @@ class Cause:
     """Change of theta by each variant of the error, shape (m, p); None where unknown, with the reason in `note`."""
     note: str = ""
     likely: Array | None = None
-    """Probability of each variant, shape (m,); the rest to 1 is for no error. None: the worst variant counts."""
+    """Probability of each variant, shape (m,); the rest to 1 is for no error. None: the worst variant counts.
+
+    All 1 where the variants are errors that occur together and independently of each other.
+    """
     seen: bool = False
     """Significant: it shifts the value in one direction, and its half width is added linearly instead of in squares."""
     kind: str = "B"

@@ -17,7 +17,6 @@ from pmabench.analysis.shared.form import Doubt, cut_off, half_steps, weighed
 from pmabench.analysis.shared.lines import PROPORTIONAL, mean_of_cycles
 from pmabench.analysis.shared.ramp_loop import Loop
 from pmabench.analysis.shared.samples import lag_open
-from pmabench.analysis.shared.sine_loop import RECOVERED
 from pmabench.base.quantities import show
 from pmabench.kinds.isobaric_ramp.cell import (
     CURVE,
@@ -36,6 +35,8 @@ from pmabench.store.records import Array
 BENT_NOTE = "the mean curve is bent: the interval reaches to the slope at any place of the stroke"
 AT_SPEED = "one speed only: the two dampings may differ, so that the force at rest may be anywhere in the gap"
 IN_A_RAMP = "one speed only: nothing shows what creeps in less than a ramp, and K holds some of it"
+RECOVERED = "of isobaric cycles: work given while contracting, over work taken up while expanding; air is not measured"
+"""Definition of eta, where it is reported."""
 
 
 def of_curve(cell: Cell, scales: Scales, near: Cell | None) -> list[Estimate]:

@@ -44,8 +44,12 @@ PILED, UNSEEN = 0.25, 0.005
 """Share of samples at exactly one value from which on the meter stays there; of a ramp at the value of a rest."""
 STILL = (
     "the meter stays at one value: it is cut off at the end of the meter's range or below its least flow, its steps "
-    "are too coarse, or at rest it shows no flow back, so that its zero is not seen. Fill faster or more slowly, or "
-    "use a meter for both directions without a cut-off"
+    "are too coarse, or at rest it shows no flow back, so that its zero is not seen. Fill more slowly if it is at "
+    "the end of its range, faster if it is below its least flow; or use a meter for both directions without a cut-off"
+)
+BY_VESSEL = (
+    "its plan scales the flow by a known vessel (times {:g}), which is no longer done, and unscaled the volume would "
+    "be wrong by that. Calibrate the meter and measure again"
 )
 ONE = "one ramp: the repeats part is the noise of the meter, and repeated tests may scatter more"
 
@@ -163,6 +167,10 @@ def by_flow(
     given: Mapping[str, Any] = {}
     for run in runs:
         settings = samples.settings_of(run).get(FLOW)
+        if settings and (gain := float(settings.get("gain", 1.0))) != 1:
+            why = f"no volume by mass flow: {BY_VESSEL.format(gain)}"
+            dropped += [Dropped(trial.name, trial.point, why) for trial in run.trials]
+            continue
         if not settings or (given and settings != given):
             continue
         given = settings

@@ -38,7 +38,7 @@ from pmabench.plotting.pictures import (
     reach,
     spread,
 )
-from pmabench.store.analyses.results import Analysis, Estimate, Finding, Trace
+from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Trace
 from pmabench.store.records import Array, RunData, TrialData
 
 TURN = 0.02
@@ -66,6 +66,10 @@ class Sweep:
     """Pressures while the angle falls minus while it rises [Pa], shape (cycles, 2)."""
 
 
+class OffForm(NotUsable):
+    """A sweep whose loop has another form than the reduction needs: something is wrong at its operating point."""
+
+
 def sweep_of(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Sweep:
     """Evaluation of one trial; raises `NotUsable`, with the sufficient size for a sweep that is too small."""
     low, high = (trial.point.get(name) for name in ("lowest_angle", "highest_angle"))
@@ -75,10 +79,10 @@ def sweep_of(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Swee
     half, gap = 0.5 * (high - low), float(loop.middle_gap.mean())
     noise = float(np.sqrt(0.5 * np.mean(np.diff(loop.gap, axis=1) ** 2)))  # of one point, by its neighbours
     if why := why_no_turns(loop.turns, half, gap, noise):
-        raise NotUsable(why)
+        raise OffForm(why)
     if loop.turns is not None and half < HALF_SWEEP * loop.turns.w:
         least, w = show(HALF_SWEEP * loop.turns.w, "angle", 3), show(loop.turns.w, "angle", 3)
-        raise NotUsable(
+        raise OffForm(
             f"the sweep of +-{show(half, 'angle', 3)} is too small for the hysteresis: a turn fades on {w}, 3 of which "
             f"are cut after each turn, and mid sweep must lie one more beyond them; sweep at least +-{least}"
         )
@@ -188,7 +192,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     reason. `options`: `discard` (cycles at the start; else the plan's setting, else 1).
     """
     options = options or {}
-    sweeps, dropped = measured_trials(runs, lambda run, trial: sweep_of(run, trial, options))
+    sweeps, dropped = _sweeps(runs, options)
     scales = Scales.of(runs)
     estimates, findings, traces = list[Estimate](), list[Finding](), list[Trace]()
     for at, members in _cells(sweeps).items():
@@ -211,7 +215,33 @@ def stiffness_of(run: RunData, trial: TrialData) -> float:
     return float(sweep_of(run, trial, {}).stiffness.mean())
 
 
+def _sweeps(runs: Sequence[RunData], options: Mapping[str, Any]) -> tuple[list[Sweep], list[Dropped]]:
+    """The usable trials, without those of a point where at least as many loops have another form."""
+    off: dict[tuple[float, ...], list[str]] = {}
+
+    def measured(run: RunData, trial: TrialData) -> Sweep:
+        try:
+            return sweep_of(run, trial, options)
+        except OffForm as reason:
+            off.setdefault(_place(trial.point), []).append(str(reason))
+            raise
+
+    sweeps, dropped = measured_trials(runs, measured)
+    alike = [_place(one.trial.point) for one in sweeps]
+    spoiled = {place for place, reasons in off.items() if len(reasons) >= alike.count(place)}
+    for one, place in zip(sweeps, alike, strict=True):
+        if place in spoiled:
+            text = f"half of the sweeps at this point, or more, have another form, so it tells nothing: {off[place][0]}"
+            dropped.append(Dropped(one.trial.name, one.trial.point, text))
+    return [one for one, place in zip(sweeps, alike, strict=True) if place not in spoiled], dropped
+
+
 COORDINATES = (*MUSCLES, "angular_speed", "lowest_angle", "highest_angle")
+
+
+def _place(point: Mapping[str, float]) -> tuple[float, ...]:
+    """Pressures, speed and ends of a sweep."""
+    return tuple(round(point.get(name, 0.0), 9) for name in COORDINATES)
 
 
 def _cells(sweeps: Sequence[Sweep]) -> dict[tuple[tuple[str, float], ...], list[Sweep]]:

@@ -382,9 +382,6 @@ class Meter(Strict):
     temperature: Annotated[float, Field(ge=250.0, le=350.0)] = 293.15
     """Temperature [K]; values in degrees Celsius are out of range."""
     temperature_half: Annotated[float, Field(ge=0.0, lt=50.0)] = 3.0
-    gain: Annotated[float, Field(gt=0.0)] = 1.0
-    """Correction factor from a known vessel in place of the muscle: true volume by measured volume."""
-    gain_half: Annotated[float, Field(ge=0.0)] = 0.0
 
 
 def _form(value: object) -> str:

@@ -160,15 +160,21 @@ class Diagnosis:
         if self.state != "withheld":
             return ""
         best = "; and that ".join(one.text for one in self.of_fit)
-        nearest = f"nearest to it is that {best}, which leaves {self.ratio:.3g} times the noise: " if best else ""
-        text = f"the data do not have the form of the model: {self.misses}; {nearest}the cause is unknown"
-        return f"{text}. {REMEDY}; {SURFACE}"
+        if not best:
+            cause = "the cause is unknown"
+        elif self.rounds.after.test.doubted:
+            cause = f"nearest to it is that {best}, which leaves {self.ratio:.3g} times the noise: the cause is unknown"
+        else:
+            cause = f"it would fit that {best}, of which these data do not make sure"
+        return f"the data do not have the form of the model: {self.misses}; {cause}. {REMEDY}; {SURFACE}"
 
     @property
     def refusal(self) -> str:
         """Why values are reported, but not accepted; empty where they may be."""
         if self.state == "undecided":
             return f"the misfit is explained, but {self.between}: intervals reach over both"
+        if self.state == "doubtful" and not self.rounds.after.test.doubted:
+            return f"the form does not hold; corrected for {self.titles}, which are not sure all at once"
         if self.state == "doubtful":
             left = f"{self.missed} {self.ratio:.3g} times what the noise allows"
             return f"the form does not hold; corrected for {self.titles}, {left}: intervals are wider by that"
