@@ -42,7 +42,10 @@ def command() -> None:
 @click.option("-o", "--output", required=True, type=FILE, help="The HTML file.")
 @common
 def card(ui: Ui, bench: str, specimen: str | None, output: Path) -> None:
-    """Write the card of BENCH: limits, what vents, what happens when something fails, wiring; one A4 page."""
+    """Write the card of BENCH: limits, what vents, what happens when something fails, wiring.
+
+    One A4 page, two if it has very much.
+    """
     from pmabench.bench.card import make_card
     from pmabench.cli.prepare import mounted_of
     from pmabench.report.writing import write_card

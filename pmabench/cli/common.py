@@ -50,6 +50,7 @@ class Ui:
         """Take the line of `begin` away."""
         if self.begun:
             rewrite()
+        self.begun = False
 
     def note(self, text: str) -> None:
         """A line for people, on stderr."""

@@ -177,7 +177,10 @@ def _bench_and_day(manifest: Mapping[str, Any]) -> str:
 
 
 def _calibrations(run: Path) -> Iterator[tuple[str, str]]:
-    """Scale and calibration of each channel, as the bench or the map of an import gives them, and the session."""
+    """Scale and calibration of each channel, as the bench or the map of an import gives them, and the session.
+
+    A run without a session, and an import without a day, counts as a session of its own.
+    """
     from pmabench.analysis.shared.trials import session_in
     from pmabench.analysis.verdict.comparison import SESSION
     from pmabench.store.reader import RunFiles
@@ -187,7 +190,9 @@ def _calibrations(run: Path) -> Iterator[tuple[str, str]]:
         for name in files.stream_names():
             for column in json.loads(files.read(f"streams/{name}.json"))["columns"]:
                 yield column["name"], json.dumps([column.get("scale"), column.get("calibration")], sort_keys=True)
-        yield SESSION, session_in(files.manifest)
+        imported = files.manifest.get("imported")
+        undated = isinstance(imported, dict) and not imported.get("started_known")
+        yield SESSION, ("" if undated else session_in(files.manifest)) or run.resolve().name
 
 
 def _published(text: str, analyses: Sequence[Analysis], runs: Sequence[Path]) -> tuple[Side, list[Published]]:

@@ -20,7 +20,6 @@ from pmabench.base.errors import UsageError, did_you_mean
 from pmabench.base.text import clean
 from pmabench.cli.common import Ui, common
 from pmabench.cli.names import PATH, RunFolder, next_lines, short
-from pmabench.cli.outcome import bar_line
 from pmabench.cli.sources import (
     campaign_folder,
     chains,
@@ -264,6 +263,7 @@ def process_folders(
     ui: Ui, given: Sequence[Path], out: Path, jobs: int, cluster: str | None, options: Mapping[str, Any], *, fresh: bool
 ) -> int | None:
     """Process each run below `given` on its own, with options by kind; the exit code."""
+    from pmabench.cli.outcome import bar_line
     from pmabench.report.many import process_many, write_table
 
     tasks = tasks_below(given)

@@ -31,6 +31,10 @@ if TYPE_CHECKING:
     from pmabench.display.web.server import Server
 
 
+AFTER_SESSION = 10.0
+"""How long after the end of a session its test is waited for [s]."""
+
+
 @click.command(name="watch")
 @click.argument("run", default="runs", type=RunFolder())
 @click.option("--plain", is_flag=True, help="One line per event and trial; so it is where the output is no terminal.")
@@ -42,7 +46,7 @@ if TYPE_CHECKING:
 def command(ui: Ui, run: Path, listen: str | None, *, plain: bool, wait: bool, web: bool, vent: bool) -> int | None:
     """Watch RUN, or the newest run of a folder of runs, until it ends; q leaves the run alone.
 
-    Of a folder, also what is newer when that run has ended.
+    Of a folder, also what is newer when that run has ended, and the test that follows a session.
 
     For instance: pmabench watch --web
     """
@@ -56,7 +60,7 @@ def command(ui: Ui, run: Path, listen: str | None, *, plain: bool, wait: bool, w
 
     try:
         state = watch(folder, plain=plain, color=ui.color, quiet=ui.json or ui.quiet)
-        while state.ended and (newest := _find(ui, run, wait=False)) != folder:
+        while state.ended and (newest := _newer(ui, run, state)) != folder:
             folder = newest
             state = watch(folder, plain=plain, color=ui.color, quiet=ui.json or ui.quiet)
         if ui.json or ui.quiet:
@@ -82,6 +86,18 @@ def _find(ui: Ui, place: Path, *, wait: bool) -> Path:
             ui.note(f"no run in {place} yet; waiting for it, Ctrl-C ends")
             noted = True
         time.sleep(0.25)
+
+
+def _newer(ui: Ui, place: Path, state: RunState) -> Path:
+    """The newest run when one has ended, which may be that one; after a session its test is waited for."""
+    from pmabench.store.folder import SEAL
+
+    folder, until = state.files.folder, 0.0
+    if state.kind == "session" and state.status == "finished" and folder != place:
+        until = (folder / SEAL).stat().st_mtime + AFTER_SESSION
+    while (newest := _find(ui, place, wait=False)) == folder and time.time() < until:
+        time.sleep(0.25)
+    return newest
 
 
 def _json(folder: Path, state: RunState) -> dict[str, Any]:

@@ -33,6 +33,8 @@ LATEST = 1.0
 """Longest wait for the samples of an ended trial before its line is made [s], if no more are ready to be read."""
 LOG = 200
 """Number of notices kept."""
+STARTS = {"pause": "goes-on", "prompt": "answer", "trial-begin": "trial-end"}
+"""Kinds of event that stop the clock of the plan, and those that start it again."""
 
 
 @dataclass(frozen=True)
@@ -423,19 +425,24 @@ class Progress:
         self._here = start if before and start is not None else (0.0, ends[0])
         """Time of the plan [s] at the last mark, and at the next."""
         self._since: float | None = None
-        self._stopped: float | None = None
+        self._stopped: tuple[float, str] | None = None
+        """Since when the clock stands [s], and the kind of event that starts it again."""
 
     def take(self, event: Event) -> None:
         """Go to the mark that an event is, or stop and start the clock."""
         kind = event.kind
         self._since = event.t if self._since is None else self._since
-        if kind in ("pause", "prompt") or (kind == "trial-begin" and event.data.get("again")):
-            self._stopped = event.t
-        elif self._stopped is not None:
-            if kind in ("goes-on", "answer", "trial-end"):
-                self._since += event.t - self._stopped
-                self._stopped = None
-        elif kind in ("trial-begin", "trial-end"):
+        if self._stopped is not None:
+            begin, end = self._stopped
+            if kind not in (end, "trial-end"):
+                return
+            self._since, self._stopped = self._since + event.t - begin, None
+            if kind == end:
+                return
+        elif kind in ("pause", "prompt") or (kind == "trial-begin" and event.data.get("again")):
+            self._stopped = event.t, STARTS[kind]
+            return
+        if kind in ("trial-begin", "trial-end"):
             place = self._places.get((kind == "trial-begin", event.data.get("trial")))
             self._here, self._since = (place, event.t) if place is not None else (self._here, self._since)
 
@@ -444,7 +451,7 @@ class Progress:
         return self._behind(t) / self.length if self.length > 0 else 0.0
 
     def _behind(self, t: float) -> float:
-        now = t if self._stopped is None else self._stopped
+        now = t if self._stopped is None else self._stopped[0]
         since = 0.0 if self._since is None else max(0.0, now - self._since)
         return min(self._here[0] + since, self._here[1])
 

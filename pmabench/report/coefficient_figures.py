@@ -59,11 +59,12 @@ TOGETHER = (("K",), ("B_c", "B_r", "B"), ("F_ce",))
 OVER_PRESSURE = {"pressure", "mean", "amplitude"}
 """Coordinates that a value in a plot over pressure may have: means and amplitudes of sines are drawn side by side."""
 MOST_SERIES = 8
+"""Most series of own values of a plot; published ones are drawn besides."""
 FEWEST = 3
 """Places that a plot of further coefficients needs; for fewer the tables are enough."""
 CURVE_POINTS = 60
 ASIDE = 0.012
-"""How far dots of other methods lie aside, as a share of the range."""
+"""How far dots of each further method lie aside, as a share of the range."""
 SHORT = 8
 """Letters of names that stand at their last point; longer ones are above the axes."""
 Member = tuple[Analysis, Estimate]
@@ -225,9 +226,12 @@ def _chart(
     for a, e in members:
         if e.value is not None and shown(e.quantity, e.unit) == shown(known[0].quantity, known[0].unit):
             groups.setdefault(_way(e), []).append((a, e))
+    own = [way for way, group in groups.items() if group[0][0].kind != PUBLISHED]
+    groups = {way: group for way, group in groups.items() if not still or way not in own[MOST_SERIES:]}
     variants, methods = (list(dict.fromkeys(way[n] for way in groups)) for n in (0, 1))
+    others = list(dict.fromkeys(way[1] for way in own if way not in primary))
     series: list[Series] = []
-    for n, (way, group) in enumerate(list(groups.items())[:MOST_SERIES] if still else groups.items()):
+    for n, (way, group) in enumerate(groups.items()):
         at = sorted(group, key=lambda member: member[1].at[over])
         variant, method = way[0], clean(way[1], 60)
         first, theirs = way in primary, at[0][0].kind == PUBLISHED
@@ -239,7 +243,7 @@ def _chart(
         if through is not None:
             series.append(Series("", through[0], through[1], color, half=through[2], hidden=True))
         if still and not (first or theirs):
-            x = x + ASIDE * float(np.ptp([e.at[over] for e in known])) / x_unit.scale
+            x = x + (others.index(way[1]) + 1) * ASIDE * float(np.ptp([e.at[over] for e in known])) / x_unit.scale
         name = method if theirs else variant
         if still and len(methods) > 1 and not theirs:
             name = method if len(variants) == 1 else f"{variant}, {method}"

@@ -171,7 +171,7 @@ def write_card(card: Mapping[str, Any], path: Path) -> Path:
 
 
 def render_card(card: Mapping[str, Any]) -> str:
-    """The card of a bench, which prints on one A4 page, as text; every value is escaped."""
+    """The card of a bench as text, which prints on one A4 page, two if it has very much; every value is escaped."""
     context = {**card, "version": __version__, "size": letter_size(card)}
     return render("bench_card.html.j2", context, nb=unbroken)
 

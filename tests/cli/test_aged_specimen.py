@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+from math import hypot
 from pathlib import Path
 
 import pytest
@@ -61,9 +62,12 @@ def test_compare_finds_the_true_difference(lab):
         assert d["relative"] == pytest.approx(0.04, abs=0.004)
         assert abs(d["difference"] - 0.04 * d["b"]["value"]) < 1.5 * d["half_width"]
         assert d["agrees"] is False
+        assert d["half_width"] == pytest.approx(hypot(d["a"]["half_width"], d["b"]["half_width"])), "with calibrations"
     same = [d for d in reported["differences"] if d["symbol"] in ("B_c", "F_c")]
     assert all(abs(d["E_n"]) < 1.5 for d in same)
-    assert any("errors that both share count in both" in f["text"] for f in reported["findings"])
+    said = "\n".join(f["text"] for f in reported["findings"])
+    assert "errors that both share count in both" in said
+    assert "the calibrations, which both used, drop out" not in said  # neither run has a session, nor zeros of one
 
 
 def test_history_shows_cycles_values_and_reference_trials(lab):

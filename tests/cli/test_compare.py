@@ -46,6 +46,7 @@ SENSORS = """schema: pmabench.map/1
 name: study
 source: my lab
 kind: isometric
+recorded: 2026-11-20
 file: {delimiter: comma, header: first line}
 columns:
   t: {is: time, unit: s}
@@ -73,17 +74,22 @@ def imported(folder, name, seeds, sensors=SENSORS):
 
 
 def test_imports_by_one_map_share_the_scales_of_its_sensors(tmp_path):
-    """A gain of 0.5 % and of 1 % on both sides let K +0.5 % pass."""
+    """A gain of 0.5 % and of 1 % on both sides let K +0.5 % pass. Of a day that nobody gave no zero is shared."""
     one, two = (imported(tmp_path, "map", seeds) for seeds in ((1, 2), (3, 4)))
     others = imported(tmp_path, "other", (5, 6), SENSORS.replace("gain_uncertainty: 1 %", "gain_uncertainty: 1.1 %"))
+    undated = [
+        imported(tmp_path, "undated", seeds, SENSORS.replace("recorded: 2026-11-20\n", ""))
+        for seeds in ((7, 8), (9, 10))
+    ]
 
-    def slope(b):
-        data = json.loads(call("compare", one, b, "--json").output)
+    def slope(b, a=one):
+        data = json.loads(call("compare", a, b, "--json").output)
         return next(d for d in data["differences"] if d["symbol"] == "m")
 
     scale = 0.01 * slope(two)["b"]["value"]
     assert slope(two)["half_width"] < 0.2 * scale
     assert slope(others)["half_width"] > 1.4 * scale
+    assert slope(undated[1], undated[0])["half_width"] > 1.4 * scale, "their zeros may be of two days"
 
 
 def test_a_folder_is_found_by_the_short_path_that_process_prints(tmp_path, monkeypatch):

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
+from pmabench.cli import common
 from pmabench.cli.main import main
 
 CHECK = ["check", "static-load", "--bench", "mock", "--specimen", "mas-20-250-paper0"]
@@ -118,3 +119,13 @@ def test_a_terminal_with_ascii_only_keeps_columns_under_their_heads():
     environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=True)
     assert done.stdout == "   K [N*s/mm]\n113.0 +-1.9 \\u0416_#\n"
+
+
+def test_the_line_of_what_takes_long_is_taken_away_once(monkeypatch):
+    """A second time would wipe the last line of the result from the terminal."""
+    ui = common.Ui(begun=True)
+    written = []
+    monkeypatch.setattr(common, "rewrite", lambda: written.append("wiped"))
+    ui.result({}, lambda: written.append("result"))
+    ui.end()
+    assert written == ["wiped", "result"]

@@ -76,6 +76,26 @@ def test_in_a_pause_the_time_left_does_not_move():
     assert progress.left(on + LENGTH) == pytest.approx(8 * LENGTH)
 
 
+@pytest.mark.parametrize(
+    "stop",
+    [
+        [(10.0, "pause", {}), (110.0, "prompt", {}), (210.0, "answer", {}), (310.0, "goes-on", {})],
+        [(10.0, "prompt", {}), (110.0, "prompt", {}), (310.0, "answer", {})],
+    ],
+)
+def test_a_stop_lasts_from_its_beginning_to_its_own_end(stop):
+    """The second trial is 2 s old when it begins."""
+    progress = taken(Progress(plan(POINTS)), [*trial(0, 0.0), (8.0, "trial-begin", {"trial": 1}), *stop])
+    there = 3.0 + LENGTH + (10.0 - 8.0)
+    assert progress.done(310.0) == pytest.approx(there / (3.0 + 10 * LENGTH))
+    assert progress.done(312.0) == pytest.approx((there + 2.0) / (3.0 + 10 * LENGTH))
+
+
+def test_a_trial_that_ends_in_a_stop_takes_its_place():
+    reported = [(0.0, "trial-begin", {"trial": 0}), (1.0, "prompt", {}), (61.0, "trial-end", {"trial": 0})]
+    assert taken(Progress(plan(POINTS)), reported).left(61.0) == pytest.approx(9 * LENGTH)
+
+
 def test_a_run_that_goes_on_begins_where_the_last_one_ended():
     """Trials 0 to 5 were done before; the reference trial is done again, then the rest."""
     again = [(0.0, "trial-begin", {"trial": 10, "again": True}), (7.0, "trial-end", {"trial": 10})]

@@ -119,15 +119,18 @@ def test_a_signal_ends_it_with_its_own_code(tmp_path):
     run.close()
 
 
-def test_of_a_folder_what_is_newer_when_a_run_has_ended_is_watched_too(tmp_path):
+def test_of_a_folder_the_test_that_follows_a_session_is_watched_too(tmp_path):
     runs = tmp_path / "runs"
     session = Recorded(runs, POINTS, name="0", kind="session", trials_planned=0)
     command = [sys.executable, "-m", "pmabench", "watch", str(runs)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as watching:
         assert "session" in watching.stdout.readline()
-        run = Recorded(runs, POINTS, name="1", trials_planned=2)
         session.close()
-        os.utime(session.folder / "manifest.json", (0, 0))
+        while not watching.stdout.readline().startswith("finished; 0 of 0"):
+            pass
+        time.sleep(1.0)  # what a run does between its session and its test
+        assert watching.poll() is None
+        run = Recorded(runs, POINTS, name="1", trials_planned=2)
         run.trial(0)
         run.trial(1)
         run.close()
@@ -135,7 +138,7 @@ def test_of_a_folder_what_is_newer_when_a_run_has_ended_is_watched_too(tmp_path)
     heads = [line for line in reported if "TEST-1: " in line]
     ends = [line.partition(" trials")[0] for line in reported if line.startswith("finished; ")]
     assert [line[-1] for line in heads] == ["1"]
-    assert ends == ["finished; 0 of 0", "finished; 2 of 2"]
+    assert ends == ["finished; 2 of 2"]
     assert watching.returncode == 0
 
 
@@ -143,3 +146,12 @@ def test_one_run_that_is_named_is_watched_alone(tmp_path):
     first = Recorded(tmp_path, POINTS, name="1", kind="session", started_utc="2026-11-23T10:00:00.000+00:00").close()
     Recorded(tmp_path, POINTS, name="2", started_utc="2026-11-23T10:01:00.000+00:00").close()
     assert "TEST-1: 2" not in pmabench(first).output
+
+
+def test_a_session_that_ended_long_ago_is_not_waited_for(tmp_path):
+    session = Recorded(tmp_path, POINTS, name="1", kind="session").close()
+    (session / "seal.json").chmod(0o644)
+    os.utime(session / "seal.json", (0, 0))
+    begin = time.monotonic()
+    assert "TEST-1: 1" in pmabench(tmp_path).output
+    assert time.monotonic() - begin < 9.0

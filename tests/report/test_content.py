@@ -14,7 +14,7 @@ from pmabench.report.document.provenance import methods_paragraph
 from pmabench.report.document.special_tables import budget_table, change_rows
 from pmabench.report.document.tables import trial_ranges
 from pmabench.report.foremost import verdict_of
-from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Source, Trace
+from pmabench.store.analyses.results import PUBLISHED, Analysis, Estimate, Finding, Parts, Source, Trace
 from pmabench.store.notes import Note
 from pmabench.store.records import TrialData
 
@@ -157,6 +157,30 @@ def test_values_below_resolution_are_not_drawn_and_small_ones_have_no_exponent_a
     (picture,) = drawn(2e-6)
     assert "[10⁻⁶ N]" in picture.svg
     assert "1e" not in re.sub(r"<path[^>]*>", "", picture.svg)
+
+
+def test_each_further_method_lies_aside_by_its_place_and_published_values_are_never_cut(monkeypatch):
+    """Ten methods of our own, of which eight are drawn, and a table of somebody; the range is 200 kPa."""
+    at = [{"pressure": 1e5 * n} for n in (1, 2, 3)]
+
+    def values(method):
+        return tuple(Estimate("K", 7000.0 + n, "N/m", "stiffness", method, p) for n, p in enumerate(at))
+
+    mine = Analysis("x", ("r",), False, tuple(e for n in range(10) for e in values(f"m{n}")))
+    theirs = Analysis(PUBLISHED, (), False, values("Serres 2009"))
+    drawn = []
+
+    def kept(rows, *args, **more):
+        drawn.extend(rows[0])
+        return pictures.of_charts(rows, *args, **more)
+
+    monkeypatch.setattr(coefficient_figures, "of_charts", kept)
+    (picture,) = coefficient_figures.over_pressure([mine, theirs], {}, ("m0", "m1"))
+    (chart,) = drawn
+    first = [float(s.x[0]) for s in chart.series if not s.cross]
+    assert first == pytest.approx([100.0 + 200.0 * coefficient_figures.ASIDE * n for n in range(8)])
+    assert [(s.cross, float(s.x[0])) for s in chart.series][8:] == [(True, 100.0)]
+    assert "Crosses: Serres 2009" in picture.caption
 
 
 def test_labels_of_long_numbers_are_not_cut():

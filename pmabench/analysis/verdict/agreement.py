@@ -120,8 +120,9 @@ def straight(
 def between(known: Sequence[tuple[float, Estimate]], at: float, *, bent: bool = False) -> Estimate | None:
     """Value at `at`, interpolated linearly in `known`, which has rising places; None outside of it.
 
-    Half widths are interpolated, too. For a quantity that may be `bent`, even sharply as at the end of a dead band, the
-    distance of the extrapolated neighbouring piece from the line is in the method part; without one there is none.
+    Half widths are interpolated, too; a calibration part that only one neighbour has falls to 0 towards the other. For
+    a quantity that may be `bent`, even sharply as at the end of a dead band, the distance of the extrapolated
+    neighbouring piece from the line is in the method part; without one there is none.
     """
     places = np.array([place for place, _ in known])
     if len(known) < 2 or not places[0] - SAME <= at <= places[-1] + SAME:
@@ -146,7 +147,8 @@ def between(known: Sequence[tuple[float, Estimate]], at: float, *, bent: bool = 
         return None if first is None or second is None else (1 - share) * first + share * second
 
     half = mean([replace(e.parts, calibration=None).combined for e in (one, two)])
-    scales = mean([e.parts.calibration for e in (one, two)])
+    declared = [e.parts.calibration for e in (one, two)]
+    scales = None if declared == [None, None] else mean([scale or 0.0 for scale in declared])
     parts = Parts(repeats=None if off is None else half, method=off, calibration=scales)
     return replace(one, value=value, parts=parts, n=min(one.n, two.n))
 

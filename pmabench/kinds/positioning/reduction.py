@@ -1,6 +1,6 @@
 """Reduction of positioning runs: each set-point's response, steady-state error and limit cycle; the same simulated.
 
-Measures of one hold are in `analysis.shared.response`, the simulated loop in `analysis.shared.simulated`; trials along
+Measures of one hold are in `analysis.shared.signals`, the simulated loop in `analysis.shared.simulated`; trials along
 a path are reduced by `paths`.
 """
 
