@@ -88,7 +88,7 @@ def test_a_limit_of_an_older_version_is_not_met_unseen(accept, name):
     assert reported == [f"{name}: this limit is no longer known, so it is not judged"]
 
 
-def test_relative_intervals_beside_the_limits_of_a_plan_are_the_same_limits():
+def test_relative_intervals_next_to_the_limits_of_a_plan_are_the_same_limits():
     entry = {"what": "K", "measure": "relative_interval", "limit": 0.02}
     run = replace(as_run("contraction-relaxation", []), plan={"accept": {"K": 0.02, "limits": [entry]}})
     K = Estimate("K", 6400.0, "N/m", "stiffness", "m", {"pressure": 3e5}, Parts(20.0))

@@ -151,7 +151,7 @@ def test_intervals_hold_what_a_small_departure_does(kind: str, cause: str, size:
     assert covered(values) >= COVERED
 
 
-def test_a_sweep_beside_one_of_another_form_tells_nothing():
+def test_a_sweep_next_to_one_of_another_form_tells_nothing():
     """One of two repeats shows a slip as another form; the loop area of the other was 2.8 half widths off."""
     values, withheld = judged("joint-sweep", "slip", 1.0, 1028)
     assert values == []
