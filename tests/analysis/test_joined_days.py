@@ -16,8 +16,8 @@ CELLS = [(W, P) for W in (60.0, 130.0, 200.0) for P in (2e5, 3e5, 4e5) if TRUE["
 FINE = 3
 
 
-def day(number, stiffer=1.0, damped=1.0):
-    """A run of all cells."""
+def day(number, stiffer=1.0, damped=1.0, friction=0.0):
+    """A run of all cells; `friction` is Coulomb friction [N]."""
     t = np.arange(int((0.2 + 5 * HOLD) * RATE * FINE)) / (RATE * FINE)
     W, P = np.array(CELLS)[:, 0], np.array([pressed(t, target) for _, target in CELLS])
     F, K = TRUE["F_ce"](P), stiffer * TRUE["K"](P)
@@ -25,6 +25,7 @@ def day(number, stiffer=1.0, damped=1.0):
     x = np.zeros_like(P)
     for i in range(len(t) - 1):
         pull = F[:, i] - W - K[:, i] * x[:, i]
+        pull = np.sign(pull) * np.maximum(np.abs(pull) - friction, 0.0)
         x[:, i + 1] = np.maximum(0.0, x[:, i] + (t[1] - t[0]) * pull / np.where(pull > 0, up[:, i], down[:, i]))
     chance, trials = np.random.default_rng(number), []
     for place, (weight, target) in enumerate(CELLS):
