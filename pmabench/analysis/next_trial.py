@@ -29,7 +29,7 @@ from pmabench.store.records import Array
 SCATTER = 0.02
 """Relative scatter of each coefficient between trials before anything is fitted; muscles show 0.3 to 2 %."""
 FEWEST_FREEDOM = 10
-"""Degrees of freedom among repeats from which on scatter is told from a wrong form."""
+"""Degrees of freedom among repeats from which on scatter can be distinguished from a wrong form."""
 NORMAL = 1.96
 """Half width of a 95 % interval over the standard deviation."""
 LEAST, MOST = 1e-5, 0.2
