@@ -322,9 +322,9 @@ class Rig:
             device, self.device = self.device, None
             self.call("close()", device.close).judged(COLLECTS_WITHIN)
             raise Failed(
-                f"open() reached {identity.model or 'a device'} past the emulator, which sent nothing, and open() gives "
-                "simulated=False: it may drive a muscle, and nothing is commanded. Let the driver open only the address"
-                " of its record"
+                f"open() reached {identity.model or 'a device'} past the emulator, which sent nothing, and it gives "
+                "simulated=False: it may drive a muscle, and nothing is commanded. Let the driver open only the "
+                "address of its record"
             )
         if armed and self.record.watchdog and isinstance(self.device, Watchdog):
             self.call("arm_watchdog()", self.device.arm_watchdog, self.record.watchdog).good()
