@@ -33,6 +33,10 @@ BENT = 0.02
 """Rms distance of the mean curve from a straight line, as a share of its range, from which on it counts as bent."""
 UNEVEN = 0.05
 """Effect of unequal pressure in the two branches, as a share of the gap, from which on it is a doubt."""
+OFF = 0.02
+"""Share of a set pressure by which the measured one may be off it without a doubt; the intervals hold it anyway."""
+STEEPER = 1.5
+"""Factor by which a value may change more with the pressure than to the nearest other pressure, or in proportion."""
 LEFT_OF_TURNS = 0.4
 """Share of the correction for turns that may remain as an error, since turns need not decay exponentially.
 
@@ -96,6 +100,12 @@ class Cell:
     def pressure(self) -> float:
         """Set pressure [Pa]."""
         return self.at["pressure"]
+
+    @cached_property
+    def off(self) -> float:
+        """Mean measured pressure minus the set one [Pa]; 0 where it is not recorded."""
+        known = [m.loop.pressure for m in self.members if isfinite(m.loop.pressure)]
+        return float(np.mean(known)) - self.pressure if known else 0.0
 
     @property
     def middle(self) -> float:
@@ -239,6 +249,12 @@ class Cell:
         """Calibration part of a value whose derivative by the nominal pressure is `over_P` [per Pa]."""
         return scales.part_at(self.pressure, over_P if self.pressure > 0 else None, gains, offsets)
 
+    def off_command(self, value: float, over_P: float | None) -> float:
+        """Possible error of a value that is given for the set pressure; proportional where `over_P` is unknown."""
+        if self.pressure <= 0:
+            return 0.0
+        return STEEPER * abs(self.off * (value / self.pressure if over_P is None else over_P))
+
     def estimate(
         self, symbol: str, value: float | None, kind: tuple[str, str], method: str, at: Mapping[str, float],
         parts: Parts, note: str, n: int | None = None,
@@ -295,6 +311,13 @@ class Cell:
             found.append(Finding("fault", text))
         if self.one_speed:
             found.append(Finding("note", f"at {where}, {ONE_SPEED}"))
+        if abs(self.off) > OFF * self.pressure > 0:
+            text = (
+                f"at {where} the pressure is measured {show(abs(self.off), 'pressure', 2)} "
+                f"{'above' if self.off > 0 else 'below'} the command: the regulator or the gauge is off. Values are "
+                "given for the command, and their intervals hold either"
+            )
+            found.append(Finding("doubt", text))
         for member in self.members:
             gap = abs(float(member.loop.middle_gap.mean()))
             worth = abs(member.loop.apart) * self.force_per_pressure(None)
