@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.shared.form import off_command, off_command_findings
 from pmabench.analysis.shared.lines import Line, mean_of_cycles, weighted_line
 from pmabench.analysis.shared.ramp_loop import Loop
 from pmabench.analysis.shared.trials import thinned
@@ -33,10 +34,6 @@ BENT = 0.02
 """Rms distance of the mean curve from a straight line, as a share of its range, from which on it counts as bent."""
 UNEVEN = 0.05
 """Effect of unequal pressure in the two branches, as a share of the gap, from which on it is a doubt."""
-OFF = 0.02
-"""Share of a set pressure by which the measured one may be off it without a doubt; the intervals hold it anyway."""
-STEEPER = 1.5
-"""Factor by which a value may change more with the pressure than to the nearest other pressure, or in proportion."""
 LEFT_OF_TURNS = 0.4
 """Share of the correction for turns that may remain as an error, since turns need not decay exponentially.
 
@@ -251,9 +248,7 @@ class Cell:
 
     def off_command(self, value: float, over_P: float | None) -> float:
         """Possible error of a value that is given for the set pressure; proportional where `over_P` is unknown."""
-        if self.pressure <= 0:
-            return 0.0
-        return STEEPER * abs(self.off * (value / self.pressure if over_P is None else over_P))
+        return off_command(self.off, self.pressure, value, over_P)
 
     def estimate(
         self, symbol: str, value: float | None, kind: tuple[str, str], method: str, at: Mapping[str, float],
@@ -311,13 +306,7 @@ class Cell:
             found.append(Finding("fault", text))
         if self.one_speed:
             found.append(Finding("note", f"at {where}, {ONE_SPEED}"))
-        if abs(self.off) > OFF * self.pressure > 0:
-            text = (
-                f"at {where} the pressure is measured {show(abs(self.off), 'pressure', 2)} "
-                f"{'above' if self.off > 0 else 'below'} the command: the regulator or the gauge is off. Values are "
-                "given for the command, and their intervals hold either"
-            )
-            found.append(Finding("doubt", text))
+        found += off_command_findings(where, self.off, self.pressure)
         for member in self.members:
             gap = abs(float(member.loop.middle_gap.mean()))
             worth = abs(member.loop.apart) * self.force_per_pressure(None)

@@ -17,7 +17,13 @@ import numpy as np
 from pmabench.analysis.imported import import_of
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales
-from pmabench.analysis.shared.form import Doubt, weighed, without_negative_friction
+from pmabench.analysis.shared.form import (
+    Doubt,
+    off_command,
+    off_command_findings,
+    weighed,
+    without_negative_friction,
+)
 from pmabench.analysis.shared.ramp_loop import LATE
 from pmabench.analysis.shared.samples import PLACES, STEPS, NotUsable, lag_open, noise_of, rounded, settings_of
 from pmabench.analysis.shared.sine_loop import Sine, along, evaluate, measure
@@ -70,6 +76,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         found = _with_sensors(cell.estimates(fitted, form), fitted, cell, late=stated[key] == 0)
         estimates += found
         findings += [*fitted.findings(at), *form.findings(at)]
+        findings += off_command_findings(pressure_of(at), cell.off(fitted), at.get("pressure", 0.0))
         lines.append({"at": at, **fitted.facts(), "h2/h1": form.h2 / form.h1, "h3/h1": form.h3 / form.h1})
         symbols = {e.symbol for e in found if e.method == HARMONIC and e.at == at and e.value is not None}
         traces += _traces(at, fitted.by_frequency, fitted.muscle if symbols >= {"K", "B", "F_c"} else None)
@@ -106,6 +113,15 @@ class Cell:
         """All estimates from these lines, corrected and withheld by the harmonics of `form`."""
         found = judged(fitted.estimates(self.at, self.scales, self.slopes), form)
         return [*found, *mean_force.mean_force_estimates(self.at, fitted, form, self.scales, self.rising)]
+
+    def off(self, fitted: Fitted) -> float:
+        """Mean measured pressure minus the set one [Pa]; nan where either is unknown."""
+        return float(np.mean([m.sine.pressure for m in fitted.group])) - self.at.get("pressure", nan)
+
+    def off_command(self, e: Estimate, fitted: Fitted) -> float:
+        """Possible error of an estimate that is given for the set pressure."""
+        over_P = self.rising if e.symbol in ("F_ce", "F") else getattr(self.slopes, e.symbol, None)
+        return off_command(self.off(fitted), self.at.get("pressure", 0.0), e.value or 0.0, over_P)
 
     def of_others(self, group: Sequence[Member]) -> Named:
         """Estimates from changed samples; where their own form withholds one, it is evaluated with the form of the
@@ -204,6 +220,7 @@ def _even_pressure(members: Sequence[Member], options: Mapping[str, Any]) -> tup
 
 
 FILTERED, SWINGS = "filter of the pressure sensor", "pressure that swings with the sine"
+OFF_COMMAND = "pressure off its command"
 SEEN = 4.0
 """Standard errors from which on the pressure varies significantly with the sine."""
 AT_MOST = 2.0
@@ -235,7 +252,8 @@ def _with_sensors(estimates: Sequence[Estimate], fitted: Fitted, cell: Cell, *, 
         return {name: max((_apart(e, other[name]) for other in others if name in other), default=0.0)
                 for name, e in given.items()}  # fmt: skip
 
-    effects: list[tuple[str, bool, Effects]] = [(STEPS, False, _by_steps(fitted, cell))]
+    off = {name_of(e): cell.off_command(e, fitted) for e in estimates}
+    effects: list[tuple[str, bool, Effects]] = [(STEPS, False, _by_steps(fitted, cell)), (OFF_COMMAND, False, off)]
     if late:
         force, way = (max(ROOM * lag_open(m.run, name) for m in fitted.group) for name in ("force", "displacement"))
         filters = ([m.again(later) for m in group] for later in ({"force": force}, {"displacement": way}))
