@@ -109,6 +109,8 @@ def calibrate(
         if said := not_followed(found, points, quantity, raw_unit):
             raise VerdictFailed(said)
         fits.append(found)
+        if channel is not None:
+            warnings.extend(contradictions(found, channel))
         executor.recorder.event("calibrated", executor.clock.now(), channel=request.channel, **asdict(found))
 
     points_of = {"points": list(request.points)}
@@ -128,6 +130,31 @@ def not_reached(point: Point, request: Request, quantity: str) -> str:
         f"{quantity} not reached: {reached} of {wanted} ({point.way}, cycle {point.cycle + 1}): the line takes the "
         "reading for what it is; look at regulator, valves, supply and the reference itself"
     )
+
+
+BENT = 0.02
+"""Distance of a point from the line, as a share of their span, from which on it is a mistake rather than a bend."""
+
+
+def contradictions(found: Fit, channel: ChannelRecord) -> list[str]:
+    """Sentences where the line is not that of the calibration in use, and where a point is far off the line."""
+    quantity, said = channel.quantity, list[str]()
+    before = [(float(channel.scale.to_si(raw)) - value, value) for raw, value in found.points]
+    apart, at = max(before, key=lambda one: abs(one[0]))
+    limit = found.expanded + channel.calibration.uncertainty(at)
+    if abs(apart) > limit:
+        said.append(
+            f"by the calibration in use {channel.name} reads {show(apart, quantity, 3)} off the reference at "
+            f"{show(at, quantity, 4)}, and both together allow {show(limit, quantity, 2)}: has the sensor changed, or is "
+            "the reference not what was entered (a hanger, marks in another unit)? A line from 0 shows a forgotten load"
+        )
+    off, where = max(((found.scale.to_si(raw) - value, value) for raw, value in found.points), key=lambda p: abs(p[0]))
+    if abs(off) > BENT * float(np.ptp([value for _, value in found.points])):
+        said.append(
+            f"the point {show(where, quantity, 4)} lies {show(abs(off), quantity, 3)} off the line: one reference was "
+            "not what it should have been, or the sensor bends; repeat this point"
+        )
+    return said
 
 
 def not_followed(found: Fit, points: Sequence[Point], quantity: str, raw_unit: str) -> str:

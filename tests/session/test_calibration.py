@@ -121,6 +121,25 @@ def test_two_points_do_not_say_that_a_sensor_is_straight(tmp_path):
     assert max(off) < three.expanded < 1.3 * max(off)
 
 
+@pytest.mark.parametrize(
+    ("reads", "said"),
+    [
+        (lambda nominal: nominal, []),
+        (lambda nominal: nominal and nominal + 10.8, ["by the calibration in use", "off the line"]),
+        (lambda nominal: nominal * 1.06, ["by the calibration in use"]),
+        (lambda nominal: nominal + 49.05 * (nominal == FORCE[3]), ["by the calibration in use", "off the line"]),
+    ],
+    ids=["right", "a hanger that was forgotten", "marks in another unit", "a plate too many at one point"],
+)
+def test_a_reference_that_is_not_what_was_entered_is_said(reads, said):
+    """The new line was compared with nothing: 10.8 N off within 0.107 N."""
+    request = replace(CASES["force"][1], points=FORCE)
+    made = mounted("mock", seed=1)
+    done = calibrate(made, request, ConfirmedBeforehand(), lambda _text, nominal, _wait: reads(nominal), None)
+    assert len(done.warnings) == len(said)
+    assert all(words in text for words, text in zip(said, done.warnings, strict=True))
+
+
 @pytest.mark.parametrize("error", ["of each weight", "of one share"])
 def test_the_gain_is_known_as_well_as_the_weights_tell_it(tmp_path, error):
     """Weights known to 0.5 N (k = 2): the slope errs within gain_uncertainty; none was written, and K had no force part."""
