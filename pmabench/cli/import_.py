@@ -103,10 +103,6 @@ def command(
     ui.result(data, human, [str(run.path) for run in runs])
 
 
-SECONDS = 10.0
-"""Shown of the beginning."""
-
-
 def guess(ui: Ui, files: Sequence[Path], spans: Sequence[str], output: Path | None) -> None:
     """Report what the files seem to hold, and write the map where `output` says."""
     from pmabench.files.document import Document

@@ -196,7 +196,10 @@ Written = Literal[
 ]
 SCALES = {"points", "line", "recorded_with", "contraction", "range", "dropout", "blip", "spike"}
 """Entries that only a measured or commanded column can have."""
-Confirmable = Literal["counts", "gain", "jump", "lag", "magnitude", "pressure-unit", "sibling", "swap", "time-unit"]
+Confirmable = Literal[
+    "absolute", "counts", "gain", "jump", "lag", "length-unit", "magnitude", "pressure-unit", "sibling", "swap",
+    "time-unit",
+]  # fmt: skip
 NUMBERS = frozenset(("phase", "trial", "flags", "simulated", "ignore"))
 """Roles of columns that are not measured, and have neither unit nor scale."""
 PointName = Literal[

@@ -35,10 +35,6 @@ class Proposal:
     """Unit in pmabench's spelling; empty where unknown."""
     reasons: list[str] = field(default_factory=list)
     doubts: list[str] = field(default_factory=list)
-    mixed: str = ""
-    """A file in which it has whole numbers although not in others; empty where all files are alike."""
-    elsewhere: float = 0.0
-    """Highest absolute value in other files of the same layout."""
     middles: list[float] = field(default_factory=list)
     """Its median in each of the other files."""
     question: str = ""

@@ -308,7 +308,10 @@ def _guess(files: Sequence[Path], kinds: Mapping[str, Imported]) -> Guess:
 def _alike(guess: Guess, path: Path) -> None:
     """Compare another file, which must have the same layout; without a header it may have more columns, or fewer."""
     other = look(path, guess.kinds)
-    _mixed(guess, other)
+    there = {column.name: column for column in other.columns}
+    for column in guess.columns:
+        if column.name in there and len(values := there[column.name].good):
+            column.middles.append(float(np.median(values)))
     same = type(other.layout) is type(guess.layout)
     if same and isinstance(guess.layout, TextLayout) and isinstance(other.layout, TextLayout):
         keys = ("delimiter", "quoted", "decimal", "encoding", "header", "skip_lines", "comment")
@@ -342,17 +345,6 @@ def _further(guess: Guess, other: Guess) -> None:
         if column.question and not column.question.endswith(LACKED):
             column.question += LACKED
     guess.layout = guess.layout.model_copy(update={"names": [column.name for column in guess.columns]})
-
-
-def _mixed(guess: Guess, other: Guess) -> None:
-    """Note columns with whole numbers in only one of two files, and the range and median of columns in the other."""
-    there = {column.name: column for column in other.columns}
-    for column in guess.columns:
-        if column.name in there and len(values := there[column.name].good):
-            column.elsewhere = max(column.elsewhere, float(np.quantile(np.abs(values), 0.995)))
-            column.middles.append(float(np.median(values)))
-        if column.name in there and (here := column.whole) != there[column.name].whole:
-            column.mixed = (guess if here else other).files[0].name
 
 
 def _sampling(guess: Guess) -> None:

@@ -264,7 +264,7 @@ def _marks(column: Proposal) -> Entries:
 
 def _measured(column: Proposal, guess: Guess, spans: Mapping[str, Span]) -> tuple[Entries, list[str]]:
     """Entries of a measured or commanded column, and reasons."""
-    body, why = _scale(column, guess, spans.get(column.role))
+    body, why = _scale(column, spans.get(column.role))
     if column.role == "displacement":
         contraction, reasons = _contraction(column, guess)
         if isinstance(body["unit"], Asked) and contraction:  # its zero has the same open unit
@@ -287,7 +287,7 @@ def _line(slope: Value, offset: Value) -> Entries:
     return {"slope": slope, "offset": offset}
 
 
-def _scale(column: Proposal, guess: Guess, span: Span | None) -> tuple[Entries, list[str]]:
+def _scale(column: Proposal, span: Span | None) -> tuple[Entries, list[str]]:
     """Entries for unit, calibration and range of a column, and reasons."""
     quantity, unit = quantity_of(column), column.unit
     if quantity == "length" and unit in (None, "", "%") and re.search(SHARE, column.name, re.IGNORECASE):
@@ -297,16 +297,14 @@ def _scale(column: Proposal, guess: Guess, span: Span | None) -> tuple[Entries, 
         zero = f"0 {'N' if quantity == 'force' else unit}"
         zero = asked.air(unit) if quantity == "pressure" and asked.absolute(column) else zero
         return {"unit": unit, "line": _line(slope, zero)}, []
-    if (unit_asked := asked.unit_of(column, guess)) is not None:
+    if (unit_asked := asked.unit_of(column)) is not None:
         return {"unit": unit_asked}, []
     if QUANTITY.get(unit) == quantity:
-        if (air := asked.gauge_of(column)) is not None:
+        if quantity == "pressure" and (air := asked.gauge_of(column)) is not None:
             return {"unit": unit, "line": _line(f"1 {unit}/{unit}", air)}, []
         if quantity == "pressure" and asked.absolute(column):
             line = _line(f"1 {unit}/{unit}", asked.air(unit))
             return {"unit": unit, "line": line}, ["absolute by its name: the normal pressure of air is taken off"]
-        if (pull := asked.pull_of(column, guess)) is not None:
-            return {"unit": unit, "line": _line(pull, f"0 {unit}")}, []
         return {"unit": unit}, []
     if quantity == "force" and unit in asked.WEIGHT:
         line = _line(f"{asked.WEIGHT[unit]} N/{unit}", "0 N")
@@ -340,7 +338,7 @@ def _contraction(column: Proposal, guess: Guess) -> tuple[Entries, list[str]]:
 
     A free muscle shortens with pressure; a driven one pulls less when shortened.
     """
-    which = asked.unit_of(column, guess)
+    which = asked.unit_of(column)
     unit = (which.value if which else column.unit) or "count"
     pressure, force = guess.role("pressure"), guess.role("force")
     unsure = f'does "{column.name}" fall or rise while the muscle shortens? Strokes have the other sign otherwise'
@@ -362,7 +360,7 @@ def _contraction(column: Proposal, guess: Guess) -> tuple[Entries, list[str]]:
         table = np.column_stack([np.ones(len(P)), P - P.mean(), x - x.mean()])
         try:
             less = float(np.linalg.lstsq(table, force.values[good], rcond=None)[0][2])
-            less *= -1.0 if asked.negative(force) else 1.0
+            less *= -1.0 if np.quantile(force.good, 0.9) < 0 else 1.0  # the cell reads pulling as negative
         except np.linalg.LinAlgError:
             return open_sign, []
         rises, zero = less < 0, float(np.quantile(x, 0.01 if less < 0 else 0.99))
