@@ -177,7 +177,7 @@ def test_a_damaged_file_is_guessed_or_refused_and_its_map_is_yaml(tmp_path, name
     for _ in range(count):
         path.write_bytes(mutated(content, rng))
         try:
-            text = map_text(guess_files([path]), {})
+            text = map_text(guess_files([path]))
         except InvalidFile as refused:
             assert refused.problems
             continue

@@ -42,13 +42,13 @@ def file(path, columns, digits=4):
 
 def asked(path):
     """Key -> question of the guessed map of one file."""
-    questions = questions_of(Document("map.yaml", map_text(guess_files([path]), {})))
+    questions = questions_of(Document("map.yaml", map_text(guess_files([path]))))
     return {question.what: question for question in questions}
 
 
 def findings(path):
     """Kinds and levels of what an import of one file by its guessed map finds."""
-    (path.parent / "map.yaml").write_text(map_text(guess_files([path]), {}), encoding="utf-8")
+    (path.parent / "map.yaml").write_text(map_text(guess_files([path])), encoding="utf-8")
     prepared = prepare(path, read_map(path.parent / "map.yaml", unresolved=True))
     return {each.kind: each for each in prepared.findings}, prepared
 
@@ -185,7 +185,7 @@ def test_an_absolute_pressure_that_does_not_say_so_is_asked_for(tmp_path):
 def test_numbers_in_names_that_may_be_others_are_asked_for(tmp_path, names, point):
     files = [file(tmp_path / f"{name}.csv", {"t [s]": T, "P [kPa]": P, "F [N]": F}) for name in names]
     ((key, values),) = point.items()
-    text = map_text(guess_files(files), {})
+    text = map_text(guess_files(files))
     assert f"name_tells.units.{key}" in {each.what for each in questions_of(Document("map.yaml", text))}
     (tmp_path / "map.yaml").write_text(text, encoding="utf-8")
     answers = [("trials.point.contraction", "1 mm")] if key != "contraction" else []
@@ -199,7 +199,7 @@ def test_numbers_in_names_that_may_be_others_are_asked_for(tmp_path, names, poin
 def test_usual_names_are_not(tmp_path, names):
     files = [file(tmp_path / f"{name}.csv", {"t [s]": T, "P [kPa]": P, "F [N]": F}) for name in names]
     guess = guess_files(files)
-    assert not [each for each in questions_of(Document("map.yaml", map_text(guess, {}))) if "name" in each.what]
+    assert not [each for each in questions_of(Document("map.yaml", map_text(guess))) if "name" in each.what]
     assert set(guess.form_units) == {"contraction"}
 
 
@@ -222,7 +222,7 @@ def test_a_constant_length_is_no_step_test(tmp_path, name, reported, used):
     found = asked(path)
     if reported:
         assert found == {}
-        assert "point: {contraction: 8 mm}" in map_text(guess, {})
+        assert "point: {contraction: 8 mm}" in map_text(guess)
     else:
         assert found["trials.point.contraction"].used == used
 
@@ -252,7 +252,7 @@ def test_the_frequency_of_a_sine_is_fitted_where_no_name_shows_it(tmp_path):
     assert guess.kind == "recorded-sine"
     assert guess.trials["by"] == "sine"
     assert asked(path) == {}
-    (tmp_path / "map.yaml").write_text(map_text(guess, {}), encoding="utf-8")
+    (tmp_path / "map.yaml").write_text(map_text(guess), encoding="utf-8")
     call("import", path, "--map", tmp_path / "map.yaml", "--out", tmp_path / "runs")
     (run,) = (tmp_path / "runs").iterdir()
     reported = json.loads(call("runs", "show", run, "--json"))

@@ -221,7 +221,7 @@ def test_a_guess_gives_each_matrix_its_own_clock_and_leaves_out_a_record_of_zero
 
     zero = np.column_stack([np.arange(900) * 0.01, 0.1 * rng.standard_normal((900, 2))])
     savemat(tmp_path / "log.mat", {"zero": zero, "slow": matrix(0.02), "fast": matrix(0.005)})
-    text = map_text(guess_files([tmp_path / "log.mat"]), {})
+    text = map_text(guess_files([tmp_path / "log.mat"]))
     assert "nothing moves in zero" in text
     (tmp_path / "map.yaml").write_text(text)
     answers = [("columns.{test}(:,2)", "{is: pressure, unit: kPa}"), ("columns.{test}(:,3)", "{is: force, unit: N}")]
