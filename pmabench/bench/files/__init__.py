@@ -2,5 +2,5 @@
 
 `bench` is the station with its limits, watch list, safe state and session; `specimen` the muscle, the calibration of
 one channel, and values that all files share; `plant` the muscle of a simulated bench, `emulated` the
-faults and the truth of an emulated one.
+truth of an emulated one.
 """
