@@ -45,7 +45,7 @@ CHANGES = 0.02
 SAME_MOMENT = 1e-3
 """Two time columns that differ by less than this [s] in each row give the same times."""
 LENGTH = re.compile(rf"{NUMBER}(?=[ _]?mm)")
-"""A length in the name of a file or of a test [mm]."""
+"""A length in the name of a file [mm]."""
 CONTRACTIONS = words("contraction disp displacement stroke shortening hub verkurzung kontraktion")
 """Words in the name of a column that is a contraction."""
 

@@ -110,8 +110,6 @@ class Guess:
     """Whether the pressure was not recorded and is taken from the operating point."""
     tests: list[str] = field(default_factory=list)
     """Names of the tests in each file, in order, if there are several."""
-    slower: tuple[float, float] = (1.0, 1.0)
-    """Smallest and largest sampling period of the tests, relative to that of the test that is shown."""
     period: float = 0.0
     """Sampling period from a header [s]; 0 where none gives it."""
     seconds: Array | None = None

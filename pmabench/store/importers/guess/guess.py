@@ -16,13 +16,13 @@ import numpy as np
 from pmabench.base.errors import InvalidFile, PmaError, invalid
 from pmabench.base.kind import Imported
 from pmabench.files.shipped import shipped_folder
-from pmabench.store.formats.mat import alike, is_clock, matrix_of
+from pmabench.store.formats.mat import is_clock, matrix_of
 from pmabench.store.formats.record import format_of
 from pmabench.store.formats.text import TextLayout
-from pmabench.store.importers.guess.columns import SECONDS, Guess, Proposal, choose, proposal, usual_step
+from pmabench.store.importers.guess.columns import SECONDS, Guess, Proposal, choose, proposal
 from pmabench.store.importers.guess.layout import TextGuess, guess_layout
 from pmabench.store.importers.guess.signs import choose_kind, count, share
-from pmabench.store.importers.map_file import PLACE, spelled
+from pmabench.store.importers.map_file import spelled
 from pmabench.store.importers.map_rules import NUMBER, number_in, read_map
 from pmabench.store.importers.table import content_of, read_all, read_table
 from pmabench.store.records import Array
@@ -42,30 +42,24 @@ def look(path: Path, kinds: Mapping[str, Imported]) -> Guess:
     layout = form.layout.model_validate({"format": form.name})
     found, units, left_out = read_all(path, layout)
     owner = form.together(found)
-    tests, zeros = alike(found, owner)
     groups: dict[tuple[str, int], list[str]] = {}
     for name, values in found.items():
         groups.setdefault((owner[name], len(values)), []).append(name)
     if not groups:
         raise invalid(path, "holds no columns of numbers")
-    good = [key for key in groups if key[0] not in zeros and (len(tests) < 2 or key[0] in tests)]
-    group = max(good or groups, key=lambda key: (len(groups[key]) * key[1], key))
+    group = max(groups, key=lambda key: (len(groups[key]) * key[1], key))
     others = [name for key, names in groups.items() if key != group for name in names]
     reasons = [f"{form.title}, by its first bytes; {len(groups[group])} columns of {group[1]} samples each"]
-    if zeros:
-        reasons.append(f"nothing moves in {', '.join(zeros)[:200]}: records of the zeros, left out")
-    if len(tests) > 1:
-        reasons.append(f"{len(tests)} matrices with a clock each: each is a test; {group[0]} is shown")
-        others = [name for name in others if matrix_of(name) not in tests]
     if others:
         reasons.append(f"columns of other lengths, groups or clocks are left out: {', '.join(others)[:200]}")
+    if len({key[0] for key in groups if key[0] and key[0] == matrix_of(groups[key][0])}) > 1:
+        how = 'the map then says "{test}" in place of its name, and tests: with the names'
+        reasons.append(f"several matrices have a clock; if each is a test as {group[0]} is, {how}")
     columns = [_proposal(name, found[name], units[name], groups[group]) for name in groups[group]]
     if any(column.bare for column in columns):
         reasons.append("columns of a matrix have no names")
     choose(columns)
     guess = Guess([path], layout, columns, [*others, *left_out], kinds, reasons={"file": reasons})
-    if len(tests) > 1:
-        _several(guess, tests, group[0], found)
     if guess.role("time") is None:
         guess.doubts.append('nothing in the file gives the time: say "period" if the samples are evenly apart')
     return guess
@@ -78,22 +72,6 @@ def _proposal(name: str, values: Array, said: str, names: Sequence[str]) -> Prop
     column = proposal(name, values, said, bare=bare)
     column.reasons += [f"the file says its unit, {column.unit}"] if spelled(said) else []
     return column
-
-
-def _several(guess: Guess, tests: list[str], shown: str, columns: Mapping[str, Array]) -> None:
-    """Note that each of several matrices is a test, of which one is shown."""
-    guess.tests = tests
-    for column in guess.columns:
-        column.name = column.name.replace(shown, PLACE, 1)
-    own = _usual_step(columns, shown)
-    steps = [_usual_step(columns, test) / own for test in tests] if own else []
-    guess.slower = (min(steps, default=1.0), max(steps, default=1.0))
-
-
-def _usual_step(columns: Mapping[str, Array], matrix: str) -> float:
-    """Median step of the clock of a matrix; 0 without a clock."""
-    clock = (v for name, v in columns.items() if matrix_of(name) == matrix and is_clock(v))
-    return usual_step(next(clock, np.empty(0)))
 
 
 def _look_at_text(path: Path, guessed: TextGuess, kinds: Mapping[str, Imported]) -> Guess:
@@ -358,12 +336,12 @@ def _sampling(guess: Guess) -> None:
     if not len(forward):
         return
     usual = float(np.median(forward))
-    guess.rate = (0.7 / (usual * guess.slower[1]), 1.4 / (usual * guess.slower[0]))
+    guess.rate = (0.7 / usual, 1.4 / usual)
     early, late = (float(step) for step in np.quantile(steps[steps >= 0], [0.05, 0.95]))
     even = late < 1.01 * usual and early > 0.99 * usual
     guess.gap = (1.5 if even else 4.0) * usual
     wide = float(np.quantile(forward, 0.995))
-    guess.gap = max(guess.gap, 1.5 * wide if wide < 10 * usual else 0.0) * guess.slower[1]
+    guess.gap = max(guess.gap, 1.5 * wide if wide < 10 * usual else 0.0)
     how = "evenly" if even else f"unevenly, {early:.3g} to {late:.3g} s apart"
     found = [f"median {1 / usual:.4g} samples a second, {how}"]
     if (steps < 0).any():

@@ -15,7 +15,6 @@ from pmabench.store.importers.guess import asked
 from pmabench.store.importers.guess.asked import Asked, quantity_of
 from pmabench.store.importers.guess.columns import UNLIKE_TIME, Guess, Proposal
 from pmabench.store.importers.map_file import NUMBERS, OPEN, QUANTITY
-from pmabench.store.importers.map_rules import number_in
 
 TRUTH = {"y", "n", "yes", "no", "on", "off", "true", "false", "null"}
 """Texts that YAML may take for a truth value or null."""
@@ -123,8 +122,7 @@ def _tests(guess: Guess) -> list[str]:
         value: Entries = {"name": scalar(test)}
         if guess.open_point("contraction"):
             text = f'at which contraction was "{test}" held? For instance 8 mm'
-            in_name = next((f"{number_in(each):g} mm" for each in asked.LENGTH.findall(test)), "")
-            value["point"] = {"contraction": Asked(in_name, text)}
+            value["point"] = {"contraction": Asked("", text)}
         lines += entry("- ", value, "")
     return lines
 
