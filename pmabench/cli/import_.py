@@ -120,7 +120,6 @@ def guess(ui: Ui, files: Sequence[Path], output: Path | None) -> None:
         "left_out": found.left_out,
         "reasons": found.reasons,
         "doubts": found.doubts,
-        "known": found.known or None,
         "open": left,
         "questions": [vars(question) for question in questions],
         "map": text,
@@ -153,8 +152,6 @@ def _show(found: Guess) -> None:
     for key in ("file", "sampling", "trials", "name_tells"):
         for reason in found.reasons.get(key, []):
             click.echo(printable(f"  {reason}"))
-    if found.known:
-        click.echo(f"  the shipped map {found.known} takes them as they are: --map {found.known}")
     for column in found.columns:
         role = column.role.replace("_", " ") + (f" [{column.unit}]" if column.unit and column.role != "ignore" else "")
         click.echo("\n" + printable(f"{column.name}: {role}"))

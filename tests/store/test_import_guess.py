@@ -128,12 +128,6 @@ def test_files_of_currents_are_reported_by_their_header(tmp_path, pattern, kind)
     assert open_run(runs[0].path).manifest["started_utc"].startswith("2026-01-05T10:")
 
 
-def test_the_shipped_map_that_fits_is_named():
-    (step, _) = sorted((OLD / "polled").glob("*step_exp/*_data.dat"))
-    assert guess_files([step]).known == "mit-2-151-step"
-    assert not guess_files([OLD / "foreign" / "one.lvm"]).known
-
-
 @pytest.mark.parametrize("name", ["one.lvm", "comma.lvm", "segments.lvm", "bench.tdms"])
 def test_formats_that_name_their_channels_and_units(tmp_path, name):
     guess = guess_files([OLD / "foreign" / name])
@@ -403,7 +397,6 @@ def test_recorded_files_of_both_benches():
         guess = guess_files([path])
         assert roles(guess) == POLLED, path
         assert guess.kind == kinds[next(key for key in kinds if path.name.startswith(key))]
-        assert guess.known == guess.kind.replace("recorded", "mit-2-151")
 
 
 def test_recorded_samples_of_other_formats():

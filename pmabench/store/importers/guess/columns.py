@@ -98,8 +98,6 @@ class Guess:
     reasons: dict[str, list[str]] = field(default_factory=dict)
     """Part of the map (`file`, `sampling`, `trials`, `name_tells`) -> reasons."""
     doubts: list[str] = field(default_factory=list)
-    known: str = ""
-    """Name of a shipped map that fits these files; empty for none."""
     frequency: float = 0.0
     """Frequency of a command that is a single sine [Hz], with the resolution of its spectrum; else 0."""
     either: str = ""

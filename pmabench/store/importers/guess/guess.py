@@ -13,9 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pmabench.base.errors import InvalidFile, PmaError, invalid
+from pmabench.base.errors import invalid
 from pmabench.base.kind import Imported
-from pmabench.files.shipped import shipped_folder
 from pmabench.store.formats.mat import is_clock, matrix_of
 from pmabench.store.formats.record import format_of
 from pmabench.store.formats.text import TextLayout
@@ -23,7 +22,7 @@ from pmabench.store.importers.guess.columns import SECONDS, Guess, Proposal, cho
 from pmabench.store.importers.guess.layout import TextGuess, guess_layout
 from pmabench.store.importers.guess.signs import choose_kind, count, share
 from pmabench.store.importers.map_file import spelled
-from pmabench.store.importers.map_rules import NUMBER, number_in, read_map
+from pmabench.store.importers.map_rules import NUMBER, number_in
 from pmabench.store.importers.table import content_of, read_all, read_table
 from pmabench.store.records import Array
 
@@ -269,7 +268,6 @@ def _guess(files: Sequence[Path], kinds: Mapping[str, Imported]) -> Guess:
     _names(guess)
     _frequency(guess)
     _lacking(guess)
-    guess.known = _known(files[0], kinds)
     for role in ("time", "pressure"):
         if guess.role(role) is None:
             guess.doubts.append(f"no column was found that is a {role}: say which it is, for the map needs one")
@@ -400,19 +398,3 @@ def _lacking(guess: Guess) -> None:
             form = f"as {{is: {role}, unit: {'bar' if role == 'pressure' else 'N'}}}"
             text = f"which column is the {role}? No name says it; there is {names}"
             column.question = f"{text}: write what it is and its unit, {form}"
-
-
-def _known(path: Path, kinds: Mapping[str, Imported]) -> str:
-    """Name of a shipped map that fits a file without a fault and at the expected rate; empty for none."""
-    from pmabench.store.importers.prepare import prepare
-
-    if path.stat().st_size > LOOKED_AT:
-        return ""
-    for each in sorted(shipped_folder("map").glob("*.yaml")):
-        try:
-            findings = prepare(path, read_map(each, kinds)).findings
-        except (InvalidFile, PmaError):
-            continue
-        if not any(found.level == "fault" or found.kind == "rate" for found in findings):
-            return each.stem
-    return ""

@@ -150,7 +150,6 @@ def map_text(guess: Guess) -> str:
         "# ?? is a question that no file answers: write the answer in its place. What follows it is taken with",
         "# `import --unresolved` until then, and no result is accepted.",
         *(comment(f"DOUBT: {text}") for text in guess.doubts),
-        *([comment(f"The shipped map {guess.known} takes these files as they are.")] if guess.known else []),
         "schema: pmabench.map/1",
         f"name: {scalar('guessed from ' + guess.files[0].name)}",
         "source: unknown  # who recorded these files, when and where",
