@@ -263,10 +263,6 @@ def _measured(column: Proposal, guess: Guess) -> tuple[Entries, list[str]]:
     if column.unit == "mA" and zeros:
         body["dropout"] = "0 mA"
         why.append(f"{zeros} samples read 0 mA, as a cut wire does")
-    blip = _blip(column.good) if column.role.endswith("command") else None
-    if blip is not None:
-        body["blip"] = f"{blip:g} {column.unit}"
-        why.append(f"{blip:g} is read in single samples between others only")
     return body, why
 
 
@@ -372,19 +368,6 @@ def _zero(column: Proposal, unit: str, x: np.ndarray, rises: bool) -> Entries:
     taken = f"0 {unit}" if rises and x.min() > 0 else f"{float(np.quantile(x, 0.01 if rises else 0.99)):.5g} {unit}"
     text = f'what does "{column.name}" read where the muscle has its full length? F_ce and x of all results begin there'
     return {"reading": reading, "zero": Asked(taken, text)}
-
-
-def _blip(values: np.ndarray) -> float | None:
-    """A value far below all others that occurs in single samples only; None where there is none."""
-    if len(values) < 20:
-        return None
-    low = float(values.min())
-    here = values == low
-    alone = here[1:-1] & ~here[:-2] & ~here[2:]
-    near = np.abs(values[:-2] - values[2:])[alone] if alone.any() else np.empty(0)
-    others = values[~here]
-    far = len(others) > 0 and float(others.min()) - low > 0.02 * float(np.ptp(others) or 1.0)
-    return low if far and len(near) and here[1:-1].sum() == alone.sum() and here.sum() <= 0.01 * len(values) else None
 
 
 def _name_lines(guess: Guess) -> list[str]:
