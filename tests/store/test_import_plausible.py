@@ -32,7 +32,8 @@ def look(file, bore=None, contraction=None, confirmed=(), columns=COLUMNS):
     flags, found = inspect(file.t, channels, (0.5 / period, 2.0 / period), 4 * period, 60.0)
     held = file.kind == "isometric"
     flags, still = stopped(file.t, channels, flags, held=held)
-    more, questions = judge(file.t, channels, flags, Muscle(bore and bore * 1e-3, 0.3, contraction, held), confirmed)
+    muscle = Muscle(bore and bore * 1e-3, 0.3, contraction, held, not held)
+    more, questions = judge(file.t, channels, flags, muscle, confirmed)
     return flags, {each.kind: each for each in found + still + more}, questions
 
 
@@ -236,6 +237,14 @@ def test_a_length_in_a_unit_that_cannot_be_is_a_question(factor):
     (question,) = look(wrong)[2]
     assert (question.what, question.where) == ("length-unit", "x (mm)")
     assert look(wrong, confirmed=("length-unit",))[2] == []
+
+
+def test_a_length_that_is_only_set_may_stay_at_0():
+    file = isometric(1)
+    rest = 1e-2 * np.random.default_rng(1).standard_normal(len(file.t))
+    assert look(damaged(file, displacement=rest))[2] == []
+    (question,) = look(damaged(file, displacement=rest + 4e3))[2]
+    assert question.what == "length-unit", "4 mm called m"
 
 
 def test_a_command_in_a_unit_that_cannot_be_withholds():

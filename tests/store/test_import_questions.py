@@ -10,11 +10,12 @@ from click.testing import CliRunner
 from pmabench.base.errors import InvalidFile
 from pmabench.cli.main import main
 from pmabench.files.document import Document
+from pmabench.kinds.registry import importable
 from pmabench.store.importers import apart
 from pmabench.store.importers.guess.columns import Proposal, choose, unit_in, words
 from pmabench.store.importers.guess.write import map_text
 from pmabench.store.importers.map_file import questions_of
-from pmabench.store.importers.prepare import prepare
+from pmabench.store.importers.prepare import _moves, prepare
 from tests.importing import guess_files, read_map
 
 T = np.arange(0, 20, 0.01)
@@ -466,3 +467,9 @@ def test_a_channel_with_blanks_is_one_of_numbers(tmp_path, every):
         "\n".join([f"{head},note", *(f"{line},{'valve on' if k == 9 else ''}" for k, line in enumerate(lines))])
     )
     assert [column.reasons[0] for column in guess_files([path]).columns][-1] == "holds words, not numbers"
+
+
+@pytest.mark.parametrize(("kind", "moves"), [("recorded-pull", True), ("sinusoidal-displacement", True), ("recorded-step", True), ("isometric-pressurisation", False), ("isometric", False)])  # fmt: skip
+def test_a_length_that_hardly_moves_has_another_unit_but_where_it_is_held(kind, moves):
+    """Metres called mm: 3 N/mm would be 3000 times too much; at full length an isometric test does not move at all."""
+    assert _moves(importable()[kind]) is moves

@@ -74,6 +74,8 @@ class Muscle:
     contraction: float | None
     held: bool
     """Whether its length is held constant, so that force follows pressure."""
+    moves: bool = True
+    """Whether its length changes within the test; where it is only set, a trial may be at full length throughout."""
 
 
 def slope_of_held(values: Mapping[str, Array], flags: Flags) -> float | None:
@@ -96,7 +98,7 @@ def judge(report: Report, channels: Mapping[str, Checked], good: Bools, muscle: 
     if pressure is None or good.sum() < 20:
         return []
     P = pressure.si[good]
-    questions = [] if muscle.held else _lengths(channels, good)
+    questions = _lengths(channels, good, LENGTHS[0] if muscle.moves else 0.0)
     if force is not None:
         questions += _converter(report, force, good)
     if (fastest := _fastest(report.t[good], P)) < FILLED:
@@ -269,15 +271,15 @@ def _at_lowest(rests: Array, moves: Array) -> float:
     return float(np.ptp(np.quantile(near, [0.1, 0.9])) / np.ptp(np.quantile(moves, [0.002, 0.998])))
 
 
-def _lengths(channels: Mapping[str, Checked], good: Bools) -> list[Question]:
-    """Questions for the units of lengths that are impossible at their highest."""
+def _lengths(channels: Mapping[str, Checked], good: Bools, least: float) -> list[Question]:
+    """Questions for the units of lengths that are impossible at their highest; `least` [m] it must reach."""
     lengths = [channels[role] for role in ("displacement", "displacement_command") if role in channels]
     tops = [(channel.rule, float(np.quantile(np.abs(channel.si[good]), 0.995))) for channel in lengths]
     text = "is the length in {}, as the map says? It is {} at most; correct the unit, or say confirmed: [length-unit]"
     return [
         Question("length-unit", rule.column, text.format(rule.raw_unit, show(top, "length", 3)), rule.raw_unit)
         for rule, top in tops
-        if top and not LENGTHS[0] <= top <= LENGTHS[1]
+        if top and not least <= top <= LENGTHS[1]
     ]
 
 
