@@ -62,7 +62,6 @@ KINDS = (
     "campaign",
     "cascade",
     "map",
-    "faults",
     "registers",
     "plant",
     "truth",
@@ -124,7 +123,7 @@ def _of_models(kind: str) -> dict[str, Any]:
     from pydantic import BaseModel, Field, TypeAdapter
 
     from pmabench.bench.files.bench import BenchFile
-    from pmabench.bench.files.emulated import FaultsFile, TruthFile
+    from pmabench.bench.files.emulated import TruthFile
     from pmabench.bench.files.plant import AnyPlant
     from pmabench.bench.files.specimen import CalibrationFile, SpecimenFile
     from pmabench.kinds import registry
@@ -149,7 +148,6 @@ def _of_models(kind: str) -> dict[str, Any]:
         "campaign": CampaignFile,
         "cascade": CascadeFile,
         "map": MapFile,
-        "faults": FaultsFile,
         "truth": TruthFile,
     }
     return models[kind].model_json_schema()

@@ -1,4 +1,4 @@
-"""What a report says beside its numbers: the verdict, deviations, the checklist, parents, and words to paste."""
+"""What a report says beside its numbers: the verdict, deviations, the checklist, and parents."""
 
 import re
 from dataclasses import replace
@@ -10,7 +10,6 @@ from pmabench.plotting import pictures
 from pmabench.report import coefficient_figures
 from pmabench.report.document.content import content_of
 from pmabench.report.document.deviations import Issuer, deviations
-from pmabench.report.document.provenance import methods_paragraph
 from pmabench.report.document.special_tables import budget_table, change_rows
 from pmabench.report.document.tables import trial_ranges
 from pmabench.report.foremost import verdict_of
@@ -109,25 +108,6 @@ def test_every_value_leads_to_its_trials():
     parts = content.sections[0].parts
     column = [c.head for c in parts.columns].index("from")
     assert {row[column].text[:11] for _, rows in parts.groups for row in rows} == {"R1: 1, 3, 5"}
-
-
-def test_the_methods_paragraph_names_specimen_points_and_primary_methods():
-    reported = methods_paragraph(samples.all_analyses(), samples.all_runs())
-    for words in ("Festo MAS-20-250N-AA-MC-K", "measured-pressure", "static-mean", "simulated", "95 % intervals"):
-        assert words in reported
-    assert "step-exponential" not in reported
-    assert "simulated" not in methods_paragraph(samples.all_analyses(False), samples.all_runs(False)).replace(
-        "SIMULATED", ""
-    )
-
-
-def test_the_citation_is_the_same_for_the_same_report():
-    one = content_of([samples.static_load()], samples.all_runs(), title="K & B of 100 % {x}")
-    again = content_of([samples.static_load()], samples.all_runs()[::-1], title="K & B of 100 % {x}")
-    assert one.cite == again.cite
-    assert one.report_id in one.cite[0]
-    assert r"title = {K \& B of 100 \% \{x\}}" in one.cite[1]
-    assert "simulated" in one.cite[1]
 
 
 def test_budgets_show_shares_and_what_was_not_assessed():

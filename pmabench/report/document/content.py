@@ -29,7 +29,6 @@ from pmabench.report.certificate.sheet import Sheet, sheet_of
 from pmabench.report.document import provenance, tables
 from pmabench.report.document.deviations import Issuer, Item, Said, checklist, deviations, notes_of
 from pmabench.report.document.grids import Grid, grid, narrow
-from pmabench.report.document.provenance import citation, methods_paragraph
 from pmabench.report.document.special_tables import budget_table, change_tables, check_tables, reduced_with
 from pmabench.report.document.special_tables import who as who_changed
 from pmabench.report.figures import kind_pictures
@@ -108,10 +107,6 @@ class Content:
     versions: list[str]
     issuer: Issuer
     checklist: list[Item]
-    paragraph: str
-    """Methods, ready to paste."""
-    cite: tuple[str, str]
-    """A line, and a BibTeX entry."""
 
 
 def content_of(
@@ -168,8 +163,6 @@ def content_of(
         calibrations=grid(provenance.calibration_table(runs, names, reduced_with(analyses)), group=False),
         issuer=who,
         checklist=checklist(analyses, runs, who, specimen=specimen, when=when, deviations=remarks, accepted=accepted),
-        paragraph=methods_paragraph(analyses, runs),
-        cite=citation(name, identity, when, any(simulated)),
         **about_runs,
         **_results(analyses, names),
     )
