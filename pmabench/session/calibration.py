@@ -146,7 +146,7 @@ def contradictions(found: Fit, channel: ChannelRecord) -> list[str]:
         said.append(
             f"by the calibration in use {channel.name} reads {show(apart, quantity, 3)} off the reference at "
             f"{show(at, quantity, 4)}, and both together allow {show(limit, quantity, 2)}: has the sensor changed, or "
-            "is the reference not what was entered (a hanger, marks in another unit)? A line from 0 shows a forgotten load"
+            "is the reference not what was entered (a hanger, marks in another unit)? A point at 0 tells"
         )
     off, where = max(((found.scale.to_si(raw) - value, value) for raw, value in found.points), key=lambda p: abs(p[0]))
     if abs(off) > BENT * float(np.ptp([value for _, value in found.points])):
