@@ -22,6 +22,8 @@ from pmabench.report.document.deviations import Said
 from pmabench.report.writing import write_file
 
 FONT = "DejaVu Sans"
+TALL = 230.0
+"""Height from which on a wide picture of the certificate is as high as its place, not as wide [pt]."""
 
 
 def write_pdf(content: Content, path: Path) -> Path:
@@ -83,7 +85,7 @@ class _Data:
             p, name = value.picture, f"figure-{value.n}.svg"
             (self.folder / name).write_text(as_file(p.svg, FONT), encoding="utf-8")
             about = self.plain({"title": p.title, "caption": p.caption, "alt": p.alt})
-            return about | {"n": value.n, "file": name, "wide": p.wide, "charted": bool(p.charts)}
+            return about | {"n": value.n, "file": name, "wide": p.wide, "charted": p.wide and p.height < TALL}
         elif isinstance(value, Said):
             return _note(value)
         elif isinstance(value, Sheet):
