@@ -11,24 +11,16 @@ from math import ceil
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+from pmabench.plotting.chart import BLUE, BROWN, FAINT, FAULT, GREEN, INK, MARKS, PALETTE, QUIET, Array  # noqa: F401
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
-
 HALF, FULL = 3.5, 7.2
 """Widths of figures [in]."""
-INK, QUIET, FAINT = "#16202a", "#52606d", "#a3b1be"
-"""Colours of text, of secondary text, and of measured data under a model's line."""
-GRID, UNTESTED = "#e8edf2", "#eef1f5"
-BLUE, BROWN, GREEN, FAULT = "#0b5394", "#8a4b00", "#0a6c51", "#b3261e"
-DARK, TEAL, BRIGHT = "#271102", "#28a0bd", "#0b35da"
-PALETTE = (BLUE, BROWN, GREEN, DARK, TEAL, BRIGHT)
-"""Colours of series: any two are 30 Lab units apart, also for red-green blindness, with contrast 3 : 1 to paper."""
-MARKERS = ("o", "s", "^", "D", "v", "P")
+MARKERS = MARKS
 CROSSES = ("x", "+", "1", "2", "3", "4")
 """Markers of published values."""
 WARN = BROWN

@@ -15,19 +15,21 @@ from math import floor, log10, nan
 import numpy as np
 
 from pmabench.base.kind import Result
-from pmabench.plotting.chart import COLUMN, GAP, HIGH, PAGE, Chart, Series
-from pmabench.plotting.pictures import (
-    Picture,
-    of_charts,
-)
-from pmabench.plotting.plots import (
+from pmabench.plotting.chart import (
     BROWN,
+    COLUMN,
     DARK,
+    GAP,
     GREEN,
+    HIGH,
     INK,
+    PAGE,
     PALETTE,
     Array,
+    Chart,
+    Series,
 )
+from pmabench.plotting.pictures import Picture, of_charts
 from pmabench.plotting.wording import (
     POINTS,
     RAISED,
@@ -251,7 +253,7 @@ def _chart(
         other = "" if first or theirs or still else method
         said = f"{name}, {other}" if other else name
         hollow = not (first or theirs)
-        series.append(Series(label, x, y, color, True, half, method=other, hollow=hollow, cross=theirs, said=said))
+        series.append(Series(label, x, y, color, "x" if theirs else "o", half, method=other, hollow=hollow, said=said))
     values = sorted((e.value or 0.0) / unit.scale for e in known)
     names = ", ".join(clean(s, 40) for s in symbols)
     return Chart(
@@ -385,7 +387,7 @@ def _surface_chart(
         x, y, half = _columns(mine, across, unit)
         name = f"{number(place / at_unit.scale)} {at_unit.unit}"
         series.append(Series("", x, y, blue(share), width=0.8, hidden=True))
-        series.append(Series(name, x, y, blue(share), True, half, name_color=blue(max(share, READABLE))))
+        series.append(Series(name, x, y, blue(share), "o", half, name_color=blue(max(share, READABLE))))
     values = [(e.value or 0.0) / unit.scale for e in known]
     symbol = symbol_text(known[0].symbol)
     return Chart(

@@ -180,7 +180,7 @@ def test_no_part_of_the_page_contradicts_the_verdict(analyses, word):
         assert first.count("withheld") >= 3
         assert "Withheld: K at 200 kPa and K at 250 kPa" in first, "figure and table withhold the same"
         drawn = json.loads(re.search(r'id="charts">(.*?)</script>', text, re.DOTALL)[1].replace("\\u003c", "<"))
-        dots = [s for c in drawn[0]["charts"] for s in c["series"] if s["said"] == "K" and s["dots"]]
+        dots = [s for c in drawn[0]["charts"] for s in c["series"] if s["said"] == "K" and s["mark"]]
         assert {200.0, 250.0}.isdisjoint(dots[0]["x"])
     elif word != "No result":
         assert "Not accepted" not in page.text
@@ -193,7 +193,7 @@ def test_the_charts_show_the_values_of_the_table(content, page_text):
     data = json.loads(re.search(r'id="charts">(.*?)</script>', page_text, re.DOTALL)[1])
     assert [entry["n"] for entry in data] == [item.n for item in content.front if item.picture.charts]
     panel = data[0]["charts"][1]
-    dots = next(s for s in panel["series"] if s["dots"] and not s["method"])
+    dots = next(s for s in panel["series"] if s["mark"] and not s["method"])
     at = dots["x"].index(400.0)
     assert (dots["y"][at], dots["half"][at]) == (7.552, 0.021)
     methods = {s["method"] for c in data[0]["charts"] for s in c["series"]}

@@ -26,9 +26,8 @@ from pmabench.analysis.shared.trials import grouped, measured_trials
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.kinds.relaxation import RESULTS
-from pmabench.plotting.chart import Series, of_points
+from pmabench.plotting.chart import PALETTE, Series, of_points
 from pmabench.plotting.pictures import Picture, column, has, head, how_many, numbers, of_charts, spread, unit_of
-from pmabench.plotting.plots import PALETTE
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, Command, RunData, TrialData
 
@@ -478,7 +477,7 @@ def courses(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
 
 def _series(trace: Trace, color: str) -> list[Series]:
     x = np.log10(column(trace, "t"))
-    return [Series("", x, column(trace, "line"), color), Series(head(trace), x, column(trace, "force"), color, True)]
+    return [Series("", x, column(trace, "line"), color), Series(head(trace), x, column(trace, "force"), color, "o")]
 
 
 def one_trial(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:

@@ -15,9 +15,8 @@ from math import isfinite
 
 import numpy as np
 
-from pmabench.plotting.chart import MOST_POINTS, Chart, Series, with_common_sides
+from pmabench.plotting.chart import BLUE, BROWN, FAINT, MOST_POINTS, QUIET, Array, Chart, Series, with_common_sides
 from pmabench.plotting.pictures import Picture, column, has, head, label, numbers, of_charts, spread, unit_of
-from pmabench.plotting.plots import BLUE, BROWN, FAINT, QUIET, Array
 from pmabench.plotting.wording import Frame, half_width, rounded
 from pmabench.report.document.tables import is_number, mappings
 from pmabench.store.analyses.results import Analysis, Trace
@@ -164,7 +163,7 @@ def _series(level: Level, share: float, reach: float) -> list[Series]:
         if len(marks):
             x, force = marks[np.argsort(marks[:, 0], kind="stable")].T
             said = f"{name}, {'relaxed' if hollow else 'measured'}"
-            found.append(Series("", 1e3 * x, force, color, True, hollow=hollow, said=said))
+            found.append(Series("", 1e3 * x, force, color, "o", hollow=hollow, said=said))
     return found
 
 

@@ -14,11 +14,10 @@ from importlib.resources import files
 from math import isfinite
 from typing import Any
 
-from pmabench.plotting.chart import MOST_POINTS, Chart, limits
+from pmabench.plotting.chart import MOST_POINTS, Array, Chart, limits
 from pmabench.plotting.pictures import Picture
-from pmabench.plotting.plots import Array
 
-AS_THEY_ARE = ("label", "color", "dots", "hollow", "cross", "width", "dashed", "method", "hidden")
+AS_THEY_ARE = ("label", "color", "mark", "hollow", "width", "dashed", "method", "hidden")
 """Fields of a series that the script takes as they are."""
 DIGITS = 5
 """Significant digits of the numbers."""
