@@ -255,6 +255,12 @@ class _Frame:
         return across, down
 
 
+def inside(chart: Chart) -> tuple[float, float, float, float]:
+    """Left, right, upper and lower end of the axes in the drawing."""
+    frame = _Frame(chart)
+    return frame.left, frame.right, frame.top, frame.bottom
+
+
 def with_common_sides(charts: Sequence[Chart]) -> tuple[Chart, ...]:
     """Charts one below the other, with axes aligned to the narrowest."""
     left, right = _sides(charts)
@@ -315,6 +321,12 @@ def small_multiples(
 
 def _axes_width(total: float, columns: int, left: float, inner: float, right: float) -> float:
     return (total - GAP * (columns - 1) - left - (columns - 1) * inner - columns * right) / columns
+
+
+def stamped(rows: Sequence[Sequence[Chart]]) -> list[list[Chart]]:
+    """The same with the word SIMULATED in the upper right corner."""
+    (*first, last), *others = rows
+    return [[*first, replace(last, stamp="SIMULATED")], *map(list, others)]
 
 
 def joined(rows: Sequence[Sequence[Chart]], alt: str) -> str:
@@ -477,7 +489,7 @@ def _line(frame: _Frame, series: Series) -> list[str]:
     parts = [_path(*piece) for piece in pieces(frame.chart, series)]
     dash = ' stroke-dasharray="3.5 2.5"' if series.dashed else ""
     look = f'fill="none" stroke="{series.color}" stroke-width="{_n(series.width)}" stroke-linejoin="round"'
-    return [f'<path d="{"".join(parts)}" {look}{dash}/>'] if parts else []
+    return [f'<path d="{"".join(parts)}" {look}{dash}/>'] if parts and series.width else []
 
 
 def pieces(chart: Chart, series: Series, most: int = STATIC, near: float = NEAR) -> list[tuple[Array, Array]]:

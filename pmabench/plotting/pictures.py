@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.plotting import plots
-from pmabench.plotting.chart import COLUMN, CROSSES, INK, Array, Chart, Series, joined
+from pmabench.plotting.chart import COLUMN, CROSSES, INK, Array, Chart, Series, joined, stamped
 from pmabench.plotting.svg import drawing, to_svg
 from pmabench.plotting.wording import COLUMNS, Frame, Shown, clean, shown
 from pmabench.store.analyses.results import Analysis, Estimate, Trace
@@ -76,8 +76,7 @@ def of_charts(
 ) -> Picture:
     """A picture of charts in rows, with a stamp in its corner if simulated."""
     wide = sum(chart.width for chart in rows[0]) > COLUMN
-    (*first, last), *others = (tuple(row) for row in rows)
-    drawn = ((*first, replace(last, stamp="SIMULATED" if simulated else "")), *others)
+    drawn = tuple(tuple(row) for row in (stamped(rows) if simulated else rows))
     return Picture(title, caption, alt, partial(joined, drawn, alt), table, wide, simulated, drawn)
 
 

@@ -124,10 +124,11 @@ def to_svg(figure: Figure, alt: str) -> str:
 
 
 def as_file(svg: str, font: str) -> str:
-    """The SVG element as a separate file: sizes in points (1/72 in), text in `font`."""
+    """The SVG element as a separate file: sizes in points (1/72 in), text in `font`, on white."""
     box = re.search(r'viewBox="\S+ \S+ (\S+) ([^" ]+)"', svg)
     size = f'width="{box[1]}pt" height="{box[2]}pt" ' if box else ""
-    return svg.replace("<svg ", f'<svg xmlns="http://www.w3.org/2000/svg" {size}font-family="{font}" ', 1)
+    look = f'font-family="{font}" style="background: #fff"'
+    return svg.replace("<svg ", f'<svg xmlns="http://www.w3.org/2000/svg" {size}{look} ', 1)
 
 
 def lean(text: str) -> str:
