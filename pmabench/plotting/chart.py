@@ -203,7 +203,8 @@ def limits(chart: Chart) -> tuple[float, float, float, float]:
     )
     room = 0.06 * (y1 - y0)
     below = 0.0 if chart.zero and y0 >= -1e-6 * y1 else y0 - room
-    aside = 0.0 if any(not s.mark and len(s.x) > 100 and np.all(np.diff(s.x) >= 0) for s in series) else 0.03
+    over_time = any(not s.mark and len(s.x) > 100 and np.all(np.diff(s.x) >= 0) for s in series)
+    aside = 0.0 if over_time and not any(s.mark for s in series) else 0.03
     if chart.log:
         found = x0 * (x0 / x1) ** aside, x1 * (x1 / x0) ** aside, below, y1 + room
     else:
@@ -282,12 +283,17 @@ def _sides(charts: Sequence[Chart]) -> tuple[float, float]:
 
 
 def small_multiples(
-    items: Sequence[Chart | Sequence[Chart]], columns: int, *, common: bool = True, width: float = 0.0
+    items: Sequence[Chart | Sequence[Chart]],
+    columns: int,
+    *,
+    common: bool = True,
+    one_x: bool = True,
+    width: float = 0.0,
 ) -> list[list[Chart]]:
     """Rows of a figure: charts side by side in up to so many columns, fewer where titles do not fit.
 
-    An item is one chart, or several above each other with one x axis. `common`: all have the same limits, and labels of
-    y are at the first column alone; otherwise each has its own. One item is narrow, several are as wide as a page,
+    An item is one chart, or several above each other, with `one_x` axis. `common`: all have the same limits, and labels
+    of y are at the first column alone; otherwise each has its own. One item is narrow, several are as wide as a page,
     unless a `width` is given.
     """
     stacks = [[item] if isinstance(item, Chart) else list(item) for item in items]
@@ -318,9 +324,9 @@ def small_multiples(
                     width=side + wide + right,
                     sides=(side, right),
                     y_named=first,
-                    x_named=place == len(stack) - 1,
+                    x_named=not one_x or place == len(stack) - 1,
                     stamp=chart.stamp if stamped and place == 0 else "",
-                    together=chart.together or (f"stack {n}" if len(stack) > 1 else ""),
+                    together=chart.together or (f"stack {n}" if len(stack) > 1 and one_x else ""),
                 )
             )
     return rows

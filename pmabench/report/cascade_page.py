@@ -236,8 +236,8 @@ def over_time(result: Result) -> list[list[Chart]]:
 
 def _chart(x_label: str, y_label: str, series: Sequence[Series], height: float = HALF, **more: Any) -> Chart:
     """A chart that begins at 0 upwards."""
-    look = {"zero": True, "legend": True, "stamp": stamped(True)}
-    return Chart(x_label, y_label, tuple(series), COLUMN, height, "", **look, **more)
+    stamp = stamped(True)
+    return Chart(x_label, y_label, tuple(series), COLUMN, height, "", zero=True, legend=True, stamp=stamp, **more)
 
 
 def over_pressure(result: Result) -> list[list[Chart]]:
