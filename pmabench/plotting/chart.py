@@ -4,7 +4,7 @@ A figure is rows of charts (`pictures.of_charts`). A `Chart` has `Series` (a lin
 need not rise, so that loops close) and `Level`s (a named line across the axes, or a shaded span). Names of series are
 at their ends, or, with `legend`, in one strip above all charts of the figure, each name once. Several charts become a
 figure by `small_multiples`: each item is one chart, or several above each other with one x axis; it sets widths, common
-limits, where labels are, linked cursors and the stamp.
+limits, where labels are, and linked cursors. `of_charts` puts the word SIMULATED in the corner of a figure.
 
 Contains no page or result. Lengths of the drawing are points of print (1/72 in); the page sets text in its own font,
 so only the length of a text is estimated here. No element has a `style`: attributes only.
@@ -61,8 +61,8 @@ NEAR = 0.08
 """Distance from its line at which a point of the drawing is left out [pt]."""
 COLUMN, PAGE, HIGH = 249.0, 510.0, 160.0
 """Widths of narrow and of wide pictures, and their usual height [pt]."""
-MOST_POINTS = 2000
-"""Most points of a line in the data of the page."""
+POINTS, MOST_DOTS = 4, 300
+"""Most points of a line for each point of width, and most small dots of a series, in the data of the page."""
 STATIC = 700
 """Most points of a line in the static SVG."""
 
@@ -115,9 +115,9 @@ class Chart:
     x_label: str
     y_label: str
     series: tuple[Series, ...]
-    width: float
-    height: float
-    alt: str
+    width: float = COLUMN
+    height: float = HIGH
+    alt: str = ""
     tested: Array | None = None
     """Corners of the tested zone, shape (n, 2); the rest is grey."""
     words: str = ""
@@ -128,6 +128,7 @@ class Chart:
     together: str = ""
     """Charts with the same name have linked cursors."""
     stamp: str = ""
+    """A word in the upper right corner, bold: SIMULATED."""
     x_named: bool = True
     """Whether ticks and title of the x axis are written: not above another chart with the same axis."""
     y_named: bool = True
@@ -149,16 +150,6 @@ class Chart:
     def shown(self) -> list[Series]:
         """Series of the static SVG."""
         return [s for s in self.series if not s.method]
-
-
-def of_points(series: Sequence[Series], x_label: str, y_label: str, alt: str, *, simulated: bool) -> Chart:
-    """A narrow chart of marks and lines, with names above it."""
-    return Chart(x_label, y_label, tuple(series), COLUMN, HIGH, alt, stamp=stamped(simulated), legend=True)
-
-
-def stamped(simulated: bool) -> str:
-    """The word in the corner of what was simulated."""
-    return "SIMULATED" if simulated else ""
 
 
 def closed(values: Array) -> Array:
@@ -240,7 +231,7 @@ class _Frame:
         self.left, self.right = sides[0] + self.gutter, chart.width - sides[1]
         most = 6 if chart.width > 300 else 4 if self.right - self.left > 90 else 3
         self.x_ticks = [x for x in chart.x_ticks if self.x0 <= x <= self.x1] or ticks(self.x0, self.x1, most)
-        self.head = ROW if chart.title else 0.0
+        self.head = ROW + 4.0 if chart.title else 0.0
         self.top = self.head + (17.0 if chart.y_label else 5.0)
         self.bottom = chart.height - (26.0 if chart.x_named else 5.0)
 
@@ -279,42 +270,45 @@ def with_common_sides(charts: Sequence[Chart]) -> tuple[Chart, ...]:
 
 def _sides(charts: Sequence[Chart]) -> tuple[float, float]:
     frames = [_Frame(chart) for chart in charts]
-    return max(f.left - f.gutter for f in frames), max(f.chart.width - f.right for f in frames)
+    rights = (frame.chart.width - frame.right for frame in frames)
+    return max((frame.left - frame.gutter for frame in frames), default=0.0), max(rights, default=0.0)
 
 
 def small_multiples(
     items: Sequence[Chart | Sequence[Chart]],
     columns: int,
     *,
-    common: bool = True,
+    common: str = "xy",
     one_x: bool = True,
     width: float = 0.0,
 ) -> list[list[Chart]]:
     """Rows of a figure: charts side by side in up to so many columns, fewer where titles do not fit.
 
-    An item is one chart, or several above each other, with `one_x` axis. `common`: all have the same limits, and labels
-    of y are at the first column alone; otherwise each has its own. One item is narrow, several are as wide as a page,
-    unless a `width` is given.
+    An item is one chart, or several above each other, with `one_x` axis. `common` names the axes whose limits are the
+    same in all; with a common y its labels are at the first column alone. One item is narrow, several are as wide as a
+    page, unless a `width` is given.
     """
     stacks = [[item] if isinstance(item, Chart) else list(item) for item in items]
     total = width or (COLUMN if len(stacks) == 1 else PAGE)
     columns = max(1, min(columns, len(stacks)))
+    every = [[limits(chart) for chart in stack] for stack in stacks]
+    x0, x1 = min(e[0] for found in every for e in found), max(e[1] for found in every for e in found)
+    ys = [(min(e[2] for e in row), max(e[3] for e in row)) for row in zip(*every, strict=True)]
+    for stack, found in zip(stacks, every, strict=True):
+        own = (x0, x1) if "x" in common else (min(e[0] for e in found), max(e[1] for e in found))
+        stack[:] = [
+            replace(chart, ends=(*(own if one_x else ends[:2]), *(y if "y" in common else ends[2:])))
+            for chart, y, ends in zip(stack, ys, found, strict=True)
+        ]
     longest = max(len(chart.title) for stack in stacks for chart in stack) * NAME * BOLD
-    while columns > 1 and longest > (total - GAP * (columns - 1)) / columns:
-        columns -= 1
-    if common:
-        every = [[limits(chart) for chart in stack] for stack in stacks]
-        x0, x1 = min(e[0] for found in every for e in found), max(e[1] for found in every for e in found)
-        ys = [(min(e[2] for e in row), max(e[3] for e in row)) for row in zip(*every, strict=True)]
-        stacks = [[replace(c, ends=(x0, x1, *y)) for c, y in zip(stack, ys, strict=True)] for stack in stacks]
     left, right = _sides([replace(chart, width=total / columns, sides=None) for stack in stacks for chart in stack])
-    inner = INNER if common else left
-    wide = (total - GAP * (columns - 1) - left - (columns - 1) * inner - columns * right) / columns
+    inner = INNER if "y" in common else left
+    while (wide := _axes_width(total, columns, left, inner, right)) < longest and columns > 1:
+        columns -= 1
     rows: list[list[Chart]] = []
     for n, stack in enumerate(stacks):
-        first = not common or n % columns == 0
+        first = "y" not in common or n % columns == 0
         side = left if first else inner
-        stamped = n == min(columns, len(stacks)) - 1
         if n % columns == 0:
             rows += [[] for _ in stack]
         for place, chart in enumerate(stack):
@@ -325,23 +319,20 @@ def small_multiples(
                     sides=(side, right),
                     y_named=first,
                     x_named=not one_x or place == len(stack) - 1,
-                    stamp=chart.stamp if stamped and place == 0 else "",
                     together=chart.together or (f"stack {n}" if len(stack) > 1 and one_x else ""),
                 )
             )
     return rows
 
 
-def to_svg(chart: Chart) -> str:
-    """The chart as one `<svg>` element, without a strip of names; the same bytes for the same chart."""
-    return _whole(chart.width, chart.height, chart.alt or chart.title, chart.stamp, _drawn(chart))
+def _axes_width(total: float, columns: int, left: float, inner: float, right: float) -> float:
+    return (total - GAP * (columns - 1) - left - (columns - 1) * inner - columns * right) / columns
 
 
-def strip(rows: Sequence[Sequence[Chart]]) -> str:
-    """The names of a figure's series with their marks as one `<svg>` element; empty where they are at the curves."""
-    width, height, inner = _strip(rows)
-    names = f'viewBox="0 0 {_n(width)} {_n(height)}" aria-hidden="true"'
-    return f"<svg {names}>\n{inner}\n</svg>" if inner else ""
+def stamped(rows: Sequence[Sequence[Chart]]) -> list[list[Chart]]:
+    """The same with the word SIMULATED in the upper right corner."""
+    (*first, last), *others = rows
+    return [[*first, replace(last, stamp="SIMULATED")], *map(list, others)]
 
 
 def joined(rows: Sequence[Sequence[Chart]], alt: str) -> str:
@@ -368,16 +359,17 @@ def _whole(width: float, height: float, alt: str, stamp: str, inner: str) -> str
 def _drawn(chart: Chart) -> str:
     """All SVG elements of a chart."""
     frame = _Frame(chart)
-    body = [*_ground(frame), *_spans(frame), *_axes(frame)]
+    body = [*_ground(frame), *_spans(frame), *_axes(frame), *_levels(frame)]
     body += [band for series in chart.shown for band in _band(frame, series)]
     for series in chart.shown:
         body += _marks(frame, series) if series.mark else _line(frame, series)
-    body += _levels(frame)
     body += [] if chart.legend else _names(frame)
+    for level, x, y, right, _ in level_names(chart):
+        body.append(_text(x, y, level.name, TICK, level.color, "start" if right else "end", halo=True))
     corner = [t for t in (chart.words, chart.stamp) if t]
     for n, text in enumerate(corner):
         color = BROWN if text == chart.stamp else QUIET
-        body.append(_text(chart.width - 1, 8 + 9 * n, text, 7, color, "end", bold=text == chart.stamp))
+        body.append(_text(chart.width - 1, frame.head + 8 + 9 * n, text, 7, color, "end", bold=text == chart.stamp))
     return "\n".join(body)
 
 
@@ -417,7 +409,10 @@ def _axes(frame: _Frame) -> list[str]:
     if chart.y_label and chart.y_named:
         out.append(_text(1, frame.head + 8.5, chart.y_label, LABEL, INK, "start"))
     if chart.title:
-        out.append(_text(1 if chart.y_named else frame.left, 8.5, chart.title, NAME, INK, "start", bold=True))
+        x = 1.0 if chart.y_named else frame.left
+        most = int((chart.width + GAP - 2 - x) / (NAME * BOLD))
+        title = chart.title if len(chart.title) <= most else f"{chart.title[: most - 1].strip()}…"
+        out.append(_text(x, 12, title, NAME, INK, "start", bold=True))
     return out
 
 
@@ -440,23 +435,48 @@ def _spans(frame: _Frame) -> list[str]:
 
 
 def _levels(frame: _Frame) -> list[str]:
-    """Lines across the axes with their names: above the line, or below it where another is just above."""
+    """Lines across the axes."""
     out = []
-    flat = [frame.down(one.at) for one in frame.chart.levels if one.name and not one.upright]
-    for level in frame.chart.levels:
+    for level in (one for one in frame.chart.levels if one.to is None):
         dash = ' stroke-dasharray="3.5 2.5"' if level.dashed else ""
-        x = frame.across(level.at) if level.upright else frame.right
-        y = frame.bottom if level.upright else frame.down(level.at)
-        if level.to is None:
-            ends = (x, frame.top, x, y) if level.upright else (frame.left, y, x, y)
-            out.append(_rule(*ends, level.color, 0.9, dash))
-        if level.name:
-            under = not level.upright and any(0 < y - other < 2.4 * NAME for other in flat)
-            to_right = level.upright and x - len(level.name) * TICK * BOLD < frame.left
-            aside, anchor = (3, "start") if to_right else (-3, "end")
-            place = x + aside, y - 4 if level.upright else y + 8.5 if under else y - 3
-            out.append(_text(*place, level.name, TICK, level.color, anchor, halo=True))
+        x, y = frame.across(level.at), frame.down(level.at)
+        ends = (x, frame.top, x, frame.bottom) if level.upright else (frame.left, y, frame.right, y)
+        out.append(_rule(*ends, level.color, 0.9, dash))
     return out
+
+
+def level_names(chart: Chart) -> list[tuple[Level, float, float, bool, bool]]:
+    """Levels with the place of their names, at the end and on the side where they cover least.
+
+    Whether the text begins there, and whether it is above a line, or at the bottom of an upright one.
+    """
+    frame, found = _Frame(chart), []
+    taken = [np.array(frame.at(s.x, s.y)) for s in chart.shown]
+    for level in (one for one in chart.levels if one.name):
+        wide = len(level.name) * TICK * WIDE
+        if level.upright:
+            x = frame.across(level.at)
+            places = [(x + 3 * way, y) for y in (frame.bottom - 4, frame.top + 8) for way in (-1, 1)]
+        else:
+            y = frame.down(level.at)
+            places = [(x, y + off) for off in (-3, 8.5) for x in (frame.right - 3, frame.left + 3)]
+        boxes = []
+        for n, (x, y) in enumerate(places):
+            first = x - wide if n % 2 == 0 else x
+            hidden = sum(_covered(points, first, y, wide) for points in taken)
+            outside = first < frame.left or first + wide > frame.right or y > frame.bottom or y < frame.top + 5
+            boxes.append((hidden + 1e4 * outside, n, x, y, first))
+        _, n, x, y, first = min(boxes)
+        across, down = np.meshgrid(np.linspace(first, first + wide, 60), [y - 5, y - 2.5, y])
+        taken.append(np.array([across.ravel(), down.ravel()]))
+        found.append((level, x, y, n % 2 > 0, n < 2))
+    return found
+
+
+def _covered(points: Array, x: float, y: float, wide: float) -> int:
+    """How many points of the drawing a text would cover."""
+    across, down = points
+    return int(((across > x - 2) & (across < x + wide + 2) & (down > y - 7.5) & (down < y + 2)).sum())
 
 
 def _band(frame: _Frame, series: Series) -> list[str]:
@@ -491,6 +511,15 @@ def pieces(chart: Chart, series: Series, most: int = STATIC, near: float = NEAR)
             kept = needed(across, down, near)
             found.append((across[kept], down[kept]))
     return found
+
+
+def rows_needed(chart: Chart, series: Series) -> NDArray[np.intp]:
+    """Rows of a series for the data of a page: evenly thinned, of a line those that a reader can see."""
+    most = MOST_DOTS if series.mark == "." else ceil(POINTS * chart.width)
+    rows = np.arange(0, len(series.x), max(1, -(-len(series.x) // most)))
+    if series.mark or series.half is not None:
+        return rows
+    return rows[needed(*_Frame(chart).at(series.x[rows], series.y[rows]), NEAR / 3)]
 
 
 def _inside(x: Array, y: Array, low: float, high: float) -> tuple[Array, Array]:
@@ -566,7 +595,7 @@ def _strip(rows: Sequence[Sequence[Chart]]) -> tuple[float, float, str]:
     named = {s.label: s for row in rows for chart in row if chart.legend for s in chart.shown if s.label}
     across, y, out = 1.0, 8.5, []
     for series in named.values():
-        wide = 20.0 + len(series.label) * NAME * WIDE
+        wide = 24.0 + len(series.label) * NAME * WIDE
         if across > 1 and across + wide > width:
             across, y = 1.0, y + ROW
         if series.mark:

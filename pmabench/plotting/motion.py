@@ -1,4 +1,4 @@
-"""Figures of driven and free motion: overlays, loops, values over frequency, growth over gain; drawn by `plots`.
+"""Figures of driven and free motion: overlays, loops, values over frequency, growth over gain.
 
 Also of isometric tests: force over pressure at fixed contractions, with fitted lines.
 """
@@ -7,15 +7,32 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from math import pi
 
 import numpy as np
 
-from pmabench.plotting import plots, time_plots
-from pmabench.plotting.chart import COLUMN, GAP, PAGE, Chart, Series, with_common_sides
+from pmabench.plotting.chart import (
+    BLUE,
+    BROWN,
+    FAINT,
+    GAP,
+    INK,
+    MARKS,
+    PAGE,
+    PALETTE,
+    QUIET,
+    Array,
+    Chart,
+    Level,
+    Series,
+    closed,
+    small_multiples,
+    with_common_sides,
+)
 from pmabench.plotting.pictures import (
+    Panel,
     Picture,
-    bound,
     has,
     head,
     how_many,
@@ -23,22 +40,21 @@ from pmabench.plotting.pictures import (
     numbers,
     of_charts,
     panel,
-    picture,
+    published,
     reach,
     spread,
     unit_of,
 )
-from pmabench.plotting.plots import BROWN, FAINT, QUIET, Array, Panel
 from pmabench.plotting.wording import clean, shown
 from pmabench.store.analyses.results import Analysis, Trace
 
 LOOPS, ROWS, MOST = 8, 4, 6
 """Most loops of a figure, rows of a figure of oscillations, and figures of loops."""
 NAMES = ("t", "pressure", "displacement", "model")
-UPPER, LOWER = 104.0, 66.0
-"""Heights of a panel, and of the difference below it [pt]."""
-SHORT = 20
-"""Letters of titles with which three panels fit side by side, and not two."""
+WIDER = 320.0
+"""Width of swings over time, left of their growth [pt]."""
+UPPER, LOWER = 112.0, 70.0
+"""Heights of a panel, and of what is below it [pt]."""
 OVERLAYS = 6
 """Most panels of measured and modelled motion."""
 FREE_RUN = "the fitted muscle, run freely with the measured pressure"
@@ -62,7 +78,7 @@ def overlays(
     misfits = [_rms(p.columns["measured"] - p.columns["model"]) for p in panels]
     worst = int(np.argmax(misfits))
     title += f", {panels[0].title}" if len(chosen) == 1 else ""
-    caption = f"Grey: measured; brown: {model}. Below: their difference, rms {reach(misfits)} {unit}.{also}"
+    caption = f"Measured, and {model}. Below: their difference, rms {reach(misfits)} {unit}.{also}"
     caption += how_many(chosen, able)
     if any(not np.isfinite(p.columns["model"]).all() for p in panels):
         caption += " The model ends where the muscle moves at a pressure at which a coefficient is open."
@@ -72,27 +88,17 @@ def overlays(
         + (f", largest at {panels[worst].title}." if len(panels) > 1 else ".")
     )
     table = numbers([(head(t), t) for t in chosen], columns)
-    rows = _overlaid(panels, label(chosen[0], "t"), unit, simulated=analysis.simulated)
-    return [of_charts(rows, title, caption, alt, table, simulated=analysis.simulated, still=True)]
+    rows = small_multiples([_overlaid(one, label(chosen[0], "t"), unit) for one in panels], 3, common="")
+    return [of_charts(rows, title, caption, alt, table, simulated=analysis.simulated)]
 
 
-def _overlaid(panels: Sequence[Panel], t_label: str, unit: str, *, simulated: bool) -> list[list[Chart]]:
-    """Measured and model over time with their difference below, in small multiples; columns t, measured, model."""
-    columns = 1 if len(panels) == 1 else 3 if max(len(one.title) for one in panels) < SHORT else 2
-    width = COLUMN if columns == 1 else (PAGE - GAP * (columns - 1)) / columns
-    pairs = []
-    for n, one in enumerate(panels, 1):
-        t, y, model = (one.columns[name] for name in ("t", "measured", "model"))
-        lines = (Series("", t, y, FAINT, width=3.0), Series("", t, model, BROWN))
-        apart = (Series("", t, y - model, QUIET, width=0.9),)
-        name = "contraction" if columns == 1 else f"{one.title}: x"
-        stamp = "SIMULATED" if simulated and n == min(columns, len(panels)) else ""
-        upper = Chart(t_label, f"{name} [{unit}]", lines, width, UPPER, "", stamp=stamp, x_named=False)
-        pairs.append(
-            with_common_sides((upper, Chart(t_label, f"difference [{unit}]", apart, width, LOWER, "", y_ticks=3)))
-        )
-    rows = [pairs[i : i + columns] for i in range(0, len(pairs), columns)]
-    return [[pair[n] for pair in row] for row in rows for n in (0, 1)]
+def _overlaid(one: Panel, t_label: str, unit: str) -> tuple[Chart, Chart]:
+    """Measured and model over time with their difference below; columns t, measured, model."""
+    t, y, model = (one.columns[name] for name in ("t", "measured", "model"))
+    lines = (Series("measured", t, y, FAINT, width=3.0), Series("model", t, model, BROWN))
+    apart = (Series("", t, y - model, QUIET, width=0.9),)
+    upper = Chart(t_label, f"contraction [{unit}]", lines, height=UPPER, title=one.title, legend=True)
+    return upper, Chart(t_label, f"difference [{unit}]", apart, height=LOWER, y_ticks=3)
 
 
 def _rms(values: Array) -> float:
@@ -122,8 +128,8 @@ def loops(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
         title = _title(first, second, where)
         each = " at each frequency" if any("frequency" in t.marks for t in chosen) else ""
         lacking = ". No model is drawn: stiffness, damping and friction are not all known here."
-        model = "; brown: the fitted muscle along the same motion." if "model" in names else lacking
-        caption = f"Grey: the last measured cycle{each}{model}"
+        model = ", and as model the fitted muscle along the same motion." if "model" in names else lacking
+        caption = f"The last measured cycle{each}{model}"
         if width := [t.marks["width"] for t in chosen if "width" in t.marks]:
             unit = shown("force")
             caption += f" Width at mid stroke {reach([w / unit.scale for w in width])} {unit.unit}."
@@ -131,9 +137,20 @@ def loops(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
         alt += f", {where}." if where else "."
         alt += " Loops grow wider as the frequency rises where damping acts." if len(chosen) > 1 else ""
         table = numbers([(_frequency(t), t) for t in chosen])
-        draw = bound(plots.loops, panels, labels)
-        found.append(picture(draw, title, caption, alt, table, wide=len(chosen) > 1, simulated=analysis.simulated))
+        if len(panels) == 1 and "frequency" not in chosen[0].marks:
+            panels = [replace(panels[0], title="")]  # it is in the title of the figure
+        charts = [_loop(one, theirs, labels) for one, theirs in zip(panels, published(panels), strict=True)]
+        rows = small_multiples(charts, 4)
+        found.append(of_charts(rows, title, caption, alt, table, simulated=analysis.simulated))
     return found
+
+
+def _loop(one: Panel, theirs: Sequence[Series], labels: dict[str, str]) -> Chart:
+    """A closed curve of y over x, measured and model; columns x, measured, model."""
+    looks = (("measured", {"color": FAINT, "width": 3.0}), ("model", {"color": BROWN}))
+    x = closed(one.columns["x"])
+    lines = [Series(name, x, closed(one.columns[name]), **look) for name, look in looks if name in one.columns]
+    return Chart(labels["x"], labels["y"], (*lines, *theirs), title=one.title, legend=True)
 
 
 def _axes(trace: Trace) -> tuple[str, str]:
@@ -142,6 +159,10 @@ def _axes(trace: Trace) -> tuple[str, str]:
 
 def _frequency(trace: Trace) -> str:
     return f"{trace.marks['frequency']:.4g} Hz" if "frequency" in trace.marks else head(trace)
+
+
+NARROW = 0.06
+"""Least range of an axis over frequency, as a share of the middle value."""
 
 
 def bode(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
@@ -179,8 +200,25 @@ def bode(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     names = ("frequency", "stiffness", "loss", "speed", "phase", "width")
     table = numbers([(p.title, t) for p, t in zip(panels, able, strict=True)], names)
     title = "Stiffness, damping and phase over frequency"
-    draw = bound(plots.against_frequency, panels, labels, ("K", "B", "phase"))
-    return [picture(draw, title, caption, alt, table, wide=True, simulated=analysis.simulated)]
+    charts = [_against_frequency(panels, name, labels) for name in ("K", "B", "phase")]
+    rows = small_multiples(charts, 3, common="", width=PAGE)
+    return [of_charts(rows, title, caption, alt, table, simulated=analysis.simulated)]
+
+
+def _against_frequency(panels: Sequence[Panel], name: str, labels: dict[str, str]) -> Chart:
+    """A column over frequency on a logarithmic axis; fitted lines from the columns `frequency fit`, `<name> fit`."""
+    series = []
+    for n, one in enumerate(panels):
+        color, at = PALETTE[n % len(PALETTE)], one.columns
+        if f"{name} fit" in at:
+            series.append(Series("", at["frequency fit"], at[f"{name} fit"], color, width=0.9))
+        series.append(Series(one.title, at["frequency"], at[name], color, MARKS[n % len(MARKS)]))
+    values = np.concatenate([one.y[np.isfinite(one.y)] for one in series])
+    middle = float(values.max() + values.min()) / 2
+    flat = float(np.ptp(values)) < NARROW * abs(middle)
+    ends = (None, None, *sorted((middle * (1 - NARROW / 2), middle * (1 + NARROW / 2)))) if flat else (None,) * 4
+    ticks = tuple(sorted({float(f) for one in panels for f in one.columns["frequency"]}))
+    return Chart(labels["frequency"], labels[name], tuple(series), legend=True, x_ticks=ticks, log=True, ends=ends)
 
 
 def _growth_panel(trace: Trace) -> Panel | None:
@@ -242,9 +280,38 @@ def oscillations(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     gains = [right.title for _, right in rows if right is not None and right.title]
     alt = f"Oscillation over time, and growth per half period over gain, for {len(rows)} set-points."
     alt += f" {'; '.join(gains)}."
-    draw = bound(time_plots.oscillations, rows, labels)
+    charts = [
+        (_swings(left, labels) if left else None, _growth(right, labels) if right else None) for left, right in rows
+    ]
     title = "Sustained oscillation and ultimate gain" + (f", {_setpoint(named[0][1])}" if len(rows) == 1 else "")
-    return [picture(draw, title, caption, alt, numbers(named), wide=True, simulated=analysis.simulated)]
+    columns = [iter(with_common_sides([one for one in column if one])) for column in zip(*charts, strict=True)]
+    found = [[next(of) for one, of in zip(row, columns, strict=True) if one] for row in charts if any(row)]
+    return [of_charts(found, title, caption, alt, numbers(named), simulated=analysis.simulated)]
+
+
+def _swings(swing: Panel, labels: dict[str, str]) -> Chart:
+    """Oscillation over time at the gains around the ultimate one."""
+    line = Series("", swing.columns["t"], swing.columns["measured"], BLUE, width=0.9)
+    levels = tuple(Level(value) for name, value in swing.marks.items() if name == "setpoint")
+    return Chart(labels["t"], labels["measured"], (line,), WIDER, title=swing.title, levels=levels)
+
+
+def _growth(growth: Panel, labels: dict[str, str]) -> Chart:
+    """Logarithm of the ratio of successive swings over gain; line through the filled points, its zero is K_u."""
+    gain, ratio = growth.columns["gain"], growth.columns["log_ratio"]
+    used = growth.columns["used"] > 0.5
+    series = [
+        Series("", gain[~used], ratio[~used], BLUE, "o", hollow=True),
+        Series("", gain[used], ratio[used], BLUE, "o"),
+    ]
+    if "fit" in growth.columns and used.any():
+        near = gain >= np.min(gain[used])
+        series.append(Series("", gain[near], growth.columns["fit"][near], BROWN))
+    levels = [Level(0.0, dashed=False)]
+    levels += [Level(growth.marks["K_u"], growth.title, BROWN, upright=True)] if "K_u" in growth.marks else []
+    return Chart(
+        labels["gain"], labels["log_ratio"], tuple(series), PAGE - GAP - WIDER, title="Growth", levels=tuple(levels)
+    )
 
 
 PANELS = 9
@@ -267,11 +334,27 @@ def isometric(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
         panels.append(panel(trace, names, title))
     labels = {"x": label(chosen[0], "pressure"), "y": label(chosen[0], "force")}
     caption = (
-        f"Samples of every test ({'blue: filling, red: emptying' if by_branch else 'colours'}) at set contractions, "
+        f"Samples of every test{' (blue: filling, brown: emptying)' if by_branch else ''} at set contractions, "
         f"and the least-squares line through them where it was fitted.{how_many(chosen, able)}"
     )
     alt = f"Force over pressure at fixed contraction, with a straight line, for {'; '.join(p.title for p in panels)}."
     table = numbers([(p.title, t) for p, t in zip(panels, chosen, strict=True)], ("pressure", "force", "fit", "test"))
-    draw = bound(plots.scatter_and_line, panels, labels)
+    charts = [_scattered(one, theirs, labels) for one, theirs in zip(panels, published(panels), strict=True)]
     title = "Isometric force over pressure" + (f", {panels[0].title}" if len(chosen) == 1 else "")
-    return [picture(draw, title, caption, alt, table, wide=len(chosen) > 1, simulated=analysis.simulated)]
+    return [of_charts(small_multiples(charts, 3), title, caption, alt, table, simulated=analysis.simulated)]
+
+
+def _scattered(one: Panel, theirs: Sequence[Series], labels: dict[str, str]) -> Chart:
+    """Samples of y over x, coloured by group, with the fitted line; columns x, measured, fit, group."""
+    x, y = one.columns["x"], one.columns["measured"]
+    group = one.columns.get("group", np.zeros(len(x)))
+    series = [
+        Series("", x[group == member], y[group == member], PALETTE[n % len(PALETTE)], ".")
+        for n, member in enumerate(np.unique(group))
+    ]
+    fit = one.columns.get("fit", np.full(len(x), np.nan))
+    known = np.flatnonzero(np.isfinite(fit) & np.isfinite(x))
+    if len(known):
+        ends = known[[np.argmin(x[known]), np.argmax(x[known])]]
+        series.append(Series("fit", x[ends], fit[ends], INK))
+    return Chart(labels["x"], labels["y"], (*series, *theirs), title=one.title, legend=True)

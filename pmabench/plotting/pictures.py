@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.plotting import plots
-from pmabench.plotting.chart import COLUMN, Chart, joined
-from pmabench.plotting.plots import Array, Panel
+from pmabench.plotting.chart import COLUMN, CROSSES, INK, Array, Chart, Series, joined, stamped
 from pmabench.plotting.svg import drawing, to_svg
 from pmabench.plotting.wording import COLUMNS, Frame, Shown, clean, shown
 from pmabench.store.analyses.results import Analysis, Estimate, Trace
@@ -46,10 +45,25 @@ class Picture:
     table: Frame
     wide: bool
     simulated: bool
-    charts: tuple[Chart, ...] = ()
-    """The charts it consists of, if any: the page draws them again, with zoom."""
-    stacked: bool = False
-    """Whether its charts are one below the other, not side by side."""
+    rows: tuple[tuple[Chart, ...], ...] = ()
+    """The charts it consists of: the page of a report draws them again, with zoom."""
+
+    @property
+    def charts(self) -> list[Chart]:
+        """All charts, row by row."""
+        return [chart for row in self.rows for chart in row]
+
+    @property
+    def height(self) -> float:
+        """Its height where it is as wide as it is drawn [pt]."""
+        return sum(max(chart.height for chart in row) for row in self.rows)
+
+    @property
+    def layout(self) -> str:
+        """How its charts may be arranged where there is little room: only those with all their labels one by one."""
+        if len(self.rows[0]) == 1:
+            return "column"
+        return "across" if len(self.rows) == 1 and all(chart.y_named for chart in self.charts) else "grid"
 
     @cached_property
     def svg(self) -> str:
@@ -58,19 +72,12 @@ class Picture:
 
 
 def of_charts(
-    rows: Sequence[Sequence[Chart]],
-    title: str,
-    caption: str,
-    alt: str,
-    table: Frame,
-    *,
-    simulated: bool,
-    still: bool = False,
+    rows: Sequence[Sequence[Chart]], title: str, caption: str, alt: str, table: Frame, *, simulated: bool
 ) -> Picture:
-    """A picture of charts in rows; a page may draw a single row or column again, but not a `still` one."""
+    """A picture of charts in rows, with a stamp in its corner if simulated."""
     wide = sum(chart.width for chart in rows[0]) > COLUMN
-    charts = () if still else tuple(chart for row in rows for chart in row)
-    return Picture(title, caption, alt, partial(joined, rows, alt), table, wide, simulated, charts, len(rows) > 1)
+    drawn = tuple(tuple(row) for row in (stamped(rows) if simulated else rows))
+    return Picture(title, caption, alt, partial(joined, drawn, alt), table, wide, simulated, drawn)
 
 
 def picture(
@@ -155,6 +162,24 @@ def panel(trace: Trace, names: Mapping[str, str], title: str) -> Panel:
         if first in b.columns and y in b.columns
     )
     return Panel(title, {new: values[::stride] for new, values in columns.items()}, dict(trace.marks), published)
+
+
+@dataclass(frozen=True)
+class Panel:
+    """What a chart shows: title and named columns."""
+
+    title: str
+    columns: dict[str, Array]
+    marks: dict[str, float]
+    published: tuple[tuple[str, Array, Array], ...] = ()
+    """Published points: label, x, y."""
+
+
+def published(panels: Sequence[Panel]) -> list[list[Series]]:
+    """Published points of each panel, each table with a cross of its own."""
+    names = list(dict.fromkeys(name for one in panels for name, *_ in one.published))
+    marks = {name: CROSSES[n % len(CROSSES)] for n, name in enumerate(names)}
+    return [[Series(name, x, y, INK, marks[name]) for name, x, y in one.published] for one in panels]
 
 
 def numbers(traces: Sequence[tuple[str, Trace]], wanted: Sequence[str] = ()) -> Frame:

@@ -17,7 +17,6 @@ from pmabench.base.quantities import show
 from pmabench.plotting.chart import (
     BLUE,
     BROWN,
-    COLUMN,
     FAINT,
     INK,
     PAGE,
@@ -197,7 +196,7 @@ def figures(result: Result) -> list[Drawn]:
         ),
     )  # fmt: skip
     most = f"{len(result.muscles)} muscles, up to {1e3 * max(result.displacement):.4g} mm"
-    return [Drawn(name, title, caption, f"{title}, {most}. {caption}", rows) for name, title, caption, rows in drawn]
+    return [Drawn(name, title, words, f"{title}, {most}. {words}", stamped(rows)) for name, title, words, rows in drawn]
 
 
 def _rows(result: Result) -> Array:
@@ -236,8 +235,7 @@ def over_time(result: Result) -> list[list[Chart]]:
 
 def _chart(x_label: str, y_label: str, series: Sequence[Series], height: float = HALF, **more: Any) -> Chart:
     """A chart that begins at 0 upwards."""
-    stamp = stamped(True)
-    return Chart(x_label, y_label, tuple(series), COLUMN, height, "", zero=True, legend=True, stamp=stamp, **more)
+    return Chart(x_label, y_label, tuple(series), height=height, zero=True, legend=True, **more)
 
 
 def over_pressure(result: Result) -> list[list[Chart]]:

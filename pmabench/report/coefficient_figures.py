@@ -209,7 +209,7 @@ def _figure(
     caption += f".{_crosses(members)}{missing_words([e for _, e in members], over, 6)}"
     table = table_of([e for _, e in members], over)
     simulated = any(analysis.simulated for analysis, _ in members)
-    return of_charts([[chart]], title, caption, alt, table, simulated=simulated, still=True)
+    return of_charts([[chart]], title, caption, alt, table, simulated=simulated)
 
 
 def _chart(
@@ -265,7 +265,6 @@ def _chart(
         alt=f"{names} between {values[0]:.4g} and {values[-1]:.4g} {unit.unit}.".replace(" .", "."),
         zero=min(values) >= 0 and min(values) < 0.45 * max(values),
         together="over",
-        stamp="SIMULATED" if any(a.simulated for a, _ in members) else "",
         legend=max((len(s.label) for s in series), default=0) > SHORT,
     )
 
@@ -398,5 +397,4 @@ def _surface_chart(
         height=size[1],
         alt=f"{symbol} between {min(values):.4g} and {max(values):.4g} {unit.unit}.",
         zero=min(values) >= 0,
-        stamp="SIMULATED" if simulated else "",
     )

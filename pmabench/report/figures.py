@@ -1,4 +1,4 @@
-"""Which figures an analysis has, with captions in plain words and alternative texts; draws through `plots`.
+"""Which figures an analysis has, with captions in plain words and alternative texts.
 
 A trace of an unknown kind becomes a generic line plot, so a new reduction needs no entry here.
 """
@@ -11,19 +11,8 @@ import numpy as np
 
 from pmabench.base.kind import load
 from pmabench.kinds import registry
-from pmabench.plotting import time_plots
-from pmabench.plotting.pictures import (
-    Picture,
-    bound,
-    column,
-    drawable,
-    has,
-    label,
-    numbers,
-    panel,
-    picture,
-    spread,
-)
+from pmabench.plotting.chart import PAGE, PALETTE, Array, Chart, Series, small_multiples
+from pmabench.plotting.pictures import Picture, column, drawable, has, label, numbers, of_charts, panel, spread
 from pmabench.plotting.wording import COLUMNS, clean, shown
 from pmabench.report import coefficient_figures
 from pmabench.report.certificate.force_chart import FIGURE
@@ -103,13 +92,24 @@ def _generic(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
         x, rest = names[0], names[1:9]
         data = panel(trace, {name: name for name in names}, clean(trace.title, 90)).columns
         columns = [(_word(name), _axis(trace, name, rest), data[name]) for name in rest]
-        draw = bound(time_plots.lines, "", data[x], label(trace, x), columns)
+        rows = small_multiples([_lines(data[x], label(trace, x), columns)], 1, width=PAGE)
         title = clean(trace.title, 120) or clean(trace.name, 80)
         ends = column(trace, x)[np.isfinite(column(trace, x))]
         over = f"over {label(trace, x)}, from {ends.min():.4g} to {ends.max():.4g}"
         alt = f"{', '.join(map(_word, rest))} {over}."
-        found.append(picture(draw, title, "", alt, numbers([("", trace)]), wide=True, simulated=simulated))
+        found.append(of_charts(rows, title, "", alt, numbers([("", trace)]), simulated=simulated))
     return found
+
+
+def _lines(x: Array, x_label: str, columns: Sequence[tuple[str, str, Array]]) -> list[Chart]:
+    """Columns (label, axis label, values) over the first one, a chart for each axis label; few points as marks."""
+    axes = [axis for _, axis, _ in columns]
+    mark = "o" if len(x) <= 30 and not np.all(np.diff(x) > 0) else ""
+    series: dict[str, list[Series]] = {}
+    for n, (name, axis, values) in enumerate(columns):
+        label, color = name if axes.count(axis) > 1 else "", PALETTE[n % len(PALETTE)]
+        series.setdefault(axis, []).append(Series(label, x, values, color, mark, dashed=n % 2 > 0 and bool(label)))
+    return [Chart(x_label, axis, tuple(mine), height=128.0, legend=True) for axis, mine in series.items()]
 
 
 def _word(name: str) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 
 from pmabench.analysis.verdict.life import Past, References, Series, chosen
 from pmabench.base.quantities import in_words
-from pmabench.plotting.chart import BLUE, COLUMN, FAINT, FAULT, HIGH, PAGE, Chart, Level, stamped
+from pmabench.plotting.chart import BLUE, FAINT, FAULT, PAGE, Chart, Level
 from pmabench.plotting.chart import Series as Drawn
 from pmabench.plotting.pictures import LARGEST, Picture, of_charts
 from pmabench.plotting.wording import Frame, clean, point_text, rounded, shown, symbol_text
@@ -57,9 +57,7 @@ def _over_cycles(one: Series, *, simulated: bool) -> Picture:
     bars = np.array([m.estimate.parts.combined or 0.0 for m in moments]) / unit.scale
     series = (Drawn("", x, y, BLUE, "o", bars),)
     x_ticks = () if axis == "pressure cycles" else _whole(len(x))
-    chart = Chart(
-        axis, unit.label(clean(e.symbol, 20)), series, COLUMN, HIGH, "", x_ticks=x_ticks, stamp=stamped(simulated)
-    )
+    chart = Chart(axis, unit.label(clean(e.symbol, 20)), series, x_ticks=x_ticks)
     at = point_text({name: value for name, value in e.at.items() if name != "mass"})
     name = clean(one.name, 200)
     interval_text = "95 % intervals" if bars.any() else "values without intervals"
@@ -101,10 +99,8 @@ def _control(one: References, *, simulated: bool) -> Picture:
     levels: tuple[Level, ...] = ()
     if limits is not None:
         levels = (Level(1e3 * limits.low, to=1e3 * limits.high), Level(1e3 * limits.centre, dashed=False))
-    chart = Chart(
-        "day, in order of time", "stroke [mm]", tuple(marks), PAGE, HIGH, "",
-        levels=levels, x_ticks=_whole(len(days)), stamp=stamped(simulated),
-    )  # fmt: skip
+    x_label, whole = "day, in order of time", _whole(len(days))
+    chart = Chart(x_label, "stroke [mm]", tuple(marks), PAGE, levels=levels, x_ticks=whole)
     caption = "Means of days; too few for control limits."
     if limits is not None:
         caption = (

@@ -177,9 +177,9 @@ def test_each_further_method_lies_aside_by_its_place_and_published_values_are_ne
     monkeypatch.setattr(coefficient_figures, "of_charts", kept)
     (picture,) = coefficient_figures.over_pressure([mine, theirs], {}, ("m0", "m1"))
     (chart,) = drawn
-    first = [float(s.x[0]) for s in chart.series if not s.cross]
+    first = [float(s.x[0]) for s in chart.series if s.mark == "o"]
     assert first == pytest.approx([100.0 + 200.0 * coefficient_figures.ASIDE * n for n in range(8)])
-    assert [(s.cross, float(s.x[0])) for s in chart.series][8:] == [(True, 100.0)]
+    assert [(s.mark, float(s.x[0])) for s in chart.series][8:] == [("x", 100.0)]
     assert "Crosses: Serres 2009" in picture.caption
 
 

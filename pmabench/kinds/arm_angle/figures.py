@@ -19,9 +19,20 @@ from pmabench.base.quantities import show
 from pmabench.kinds.arm_angle.stairs import Loaded
 from pmabench.kinds.arm_angle.stairs import measure as stair_of
 from pmabench.model.library import MODELS
-from pmabench.plotting.chart import GAP, INK, PAGE, PALETTE, QUIET, Chart, Level, Series, stamped
-from pmabench.plotting.pictures import Picture, column, has, how_many, label, numbers, of_charts, panel, spread
-from pmabench.plotting.plots import Panel
+from pmabench.plotting.chart import GAP, INK, PAGE, PALETTE, QUIET, Chart, Level, Series
+from pmabench.plotting.pictures import (
+    Panel,
+    Picture,
+    column,
+    has,
+    how_many,
+    label,
+    numbers,
+    of_charts,
+    panel,
+    published,
+    spread,
+)
 from pmabench.store.analyses.results import Analysis, Finding, Trace
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -218,13 +229,12 @@ def angles(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     y = np.concatenate([column(t, "angle")[np.isfinite(column(t, "angle"))] for t in chosen])
     alt = f"{labels[1]} over {labels[0]} at {len(panels)} loads, {y.min():.4g} to {y.max():.4g}."
     table = numbers(list(zip(titles, chosen, strict=True)))
-    simulated = analysis.simulated
-    charts = _charts(panels, labels, stamped(simulated))
+    charts = _charts(panels, labels)
     title = "Bending angle of the arm"
-    return [of_charts([charts], title, caption + how_many(chosen, able), alt, table, simulated=simulated)]
+    return [of_charts([charts], title, caption + how_many(chosen, able), alt, table, simulated=analysis.simulated)]
 
 
-def _charts(panels: Sequence[Panel], labels: tuple[str, str], stamp: str) -> list[Chart]:
+def _charts(panels: Sequence[Panel], labels: tuple[str, str]) -> list[Chart]:
     """Left the angles; right the gap between both branches, if there are two."""
     lines, marks, gaps = [], [], []
     for i, one in enumerate(panels):
@@ -248,13 +258,13 @@ def _charts(panels: Sequence[Panel], labels: tuple[str, str], stamp: str) -> lis
             P, above = drawn["above"]
             gap = above - one.columns["below"][known["above"]]
             gaps += [Series("", P, gap, color, width=0.7, hidden=True), Series("", P, gap, color, "o", said=one.title)]
-        marks += [Series(name, at, y, INK, "x") for name, at, y in one.published]
+    marks += [one for theirs in published(panels) for one in theirs]
     share = 0.6 if gaps else 1.0
-    angle = Chart(*labels, (*lines, *marks), share * PAGE, HEIGHT, "", legend=True, stamp="" if gaps else stamp)
+    angle = Chart(*labels, (*lines, *marks), share * PAGE, HEIGHT, legend=True)
     if not gaps:
         return [angle]
     zero, rest = (Level(0.0, color=QUIET, dashed=False),), (1 - share) * PAGE - GAP
-    return [angle, Chart(labels[0], "above − below [deg]", tuple(gaps), rest, HEIGHT, "", levels=zero, stamp=stamp)]
+    return [angle, Chart(labels[0], "above − below [deg]", tuple(gaps), rest, HEIGHT, levels=zero)]
 
 
 def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:

@@ -22,7 +22,7 @@ from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.kinds.closed_volume import RESULTS
 from pmabench.kinds.closed_volume.stroke import Gas, Stroke, fit_volume, measure, moved_by, spreads_of, volume_at
-from pmabench.plotting.chart import PALETTE, Series, of_points
+from pmabench.plotting.chart import PALETTE, Chart, Series
 from pmabench.plotting.pictures import Picture, column, has, how_many, numbers, of_charts, spread, unit_of
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace, withhold
 from pmabench.store.records import Array, RunData, TrialData
@@ -253,10 +253,10 @@ def volumes(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     every = np.concatenate([p.y for p in points])
     least, most = float(np.nanmin(every)), float(np.nanmax(every))
     alt = f"{labels[1]} over {labels[0]} from {len(points)} start pressures, {least:.4g} to {most:.4g}."
-    chart = of_points(series, *labels, alt, simulated=analysis.simulated)
+    chart = Chart(*labels, tuple(series), alt=alt, legend=True)
     table = numbers([(p.label, t) for p, t in zip(points, chosen, strict=True)], COLUMNS)
     title, simulated = "Volume over contraction", analysis.simulated
-    return [of_charts([[chart]], title, caption, alt, table, simulated=simulated, still=True)]
+    return [of_charts([[chart]], title, caption, alt, table, simulated=simulated)]
 
 
 def _series(trace: Trace, i: int) -> list[Series]:

@@ -12,9 +12,8 @@ from pmabench.analysis.model_fit import ModelFit
 from pmabench.base.quantities import show
 from pmabench.kinds.free_contraction.points import CLEAR, Point, curve_of
 from pmabench.model.library import MODELS
-from pmabench.plotting import chart
-from pmabench.plotting.chart import BLUE, BROWN, CROSSES, INK, Series
-from pmabench.plotting.pictures import Picture, has, label, numbers, of_charts, panel
+from pmabench.plotting.chart import BLUE, BROWN, INK, Chart, Series
+from pmabench.plotting.pictures import Picture, has, label, numbers, of_charts, panel, published
 from pmabench.store.analyses.results import Analysis, Finding, Trace
 from pmabench.store.records import Array
 
@@ -174,8 +173,7 @@ def _lengths(trace: Trace, simulated: bool) -> Picture:
                hollow=True, dashed=name == "model")
         for name, mark, color, words in lines + marks
     ]  # fmt: skip
-    series += [Series(name, at, y, INK, CROSSES[i % len(CROSSES)]) for i, (name, at, y) in enumerate(data.published)]
     y = data.columns["length"][known["length"]]
     alt = f"{labels[1]} over {labels[0]}: {len(y)} lengths from {y.max():.4g} down to {y.min():.4g}."
-    drawn = chart.of_points(series, *labels, alt, simulated=simulated)
-    return of_charts([[drawn]], "Free contraction", caption, alt, numbers([("", trace)]), simulated=simulated)
+    chart = Chart(*labels, (*series, *published([data])[0]), legend=True)
+    return of_charts([[chart]], "Free contraction", caption, alt, numbers([("", trace)]), simulated=simulated)

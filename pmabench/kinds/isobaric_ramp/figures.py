@@ -1,4 +1,4 @@
-"""Figures of slow ramps at constant pressure: loops, mean curves, gap, force of the rubber; drawn by `time_plots`.
+"""Figures of slow ramps at constant pressure: loops, mean curves, gap, force of the rubber.
 
 `measure`: values of one trial, for the display.
 """
@@ -13,17 +13,18 @@ from pmabench.analysis.shared.ramp_loop import measure_as_planned
 from pmabench.analysis.shared.samples import NotUsable
 from pmabench.analysis.shared.trials import grouped
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
-from pmabench.plotting import time_plots
+from pmabench.plotting import panels as drawn
+from pmabench.plotting.chart import BROWN, INK, Chart, Series
 from pmabench.plotting.pictures import (
     Picture,
-    bound,
     has,
     head,
     how_many,
     label,
     numbers,
+    of_charts,
     panel,
-    picture,
+    published,
     reach,
     spread,
 )
@@ -31,8 +32,8 @@ from pmabench.plotting.wording import shown
 from pmabench.store.analyses.results import Analysis, Trace
 from pmabench.store.records import RunData, TrialData
 
-PANELS, SPEEDS = 6, 4
-"""Most panels of a figure, and loops of a panel."""
+PANELS, SPEEDS, MARKED = 6, 4, 25
+"""Most panels of a figure, loops of a panel, and marks of a measured curve."""
 
 
 def loops(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
@@ -65,10 +66,9 @@ def loops(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     alt = (
         f"{labels['y']} over {labels['x']} as loops at {', '.join(title for title, *_ in panels)}, with the mean curve."
     )
-    draw = bound(time_plots.loops, panels, labels)
-    table = numbers(rows, ("displacement", "force"))
+    table, charts = numbers(rows, ("displacement", "force")), drawn.loops(panels, labels)
     return [
-        picture(draw, "Isobaric loops", caption, alt, table, wide=len(panels) > 1, simulated=analysis.simulated),
+        of_charts(charts, "Isobaric loops", caption, alt, table, simulated=analysis.simulated),
         *_means([means[key] for key in chosen if key in means], analysis.simulated),
     ]
 
@@ -86,10 +86,9 @@ def _means(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
         "the ends of the stroke, where one branch turns into the other."
     )
     alt = f"Mean force and gap over contraction at {', '.join(p.title for p in panels)}."
-    draw = bound(time_plots.means, panels, labels)
     table = numbers([(p.title, t) for p, t in zip(panels, able, strict=True)], ("displacement", "force", "gap"))
     title = "Mean curves and gap over contraction"
-    return [picture(draw, title, caption, alt, table, wide=False, simulated=simulated)]
+    return [of_charts(drawn.curves(panels, labels), title, caption, alt, table, simulated=simulated)]
 
 
 def rubber(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
@@ -97,15 +96,19 @@ def rubber(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     found = []
     for trace in (t for t in traces if has(t, "displacement", "force", "model")):
         data = panel(trace, {"x": "displacement", "y": "force", "model": "model"}, "")
-        off = float(np.sqrt(np.mean((data.columns["y"] - data.columns["model"]) ** 2)))
+        x, y, model = (data.columns[name] for name in ("x", "y", "model"))
+        off = float(np.sqrt(np.mean((y - model) ** 2)))
         caption = (
-            "Marks: mean of the branches without pressure. Red: F_e = A ε (ε − B1)/(ε + B2) (paper 3, eq. 8), rms "
+            "Marks: mean of the branches without pressure. Line: F_e = A ε (ε − B1)/(ε + B2) (paper 3, eq. 8), rms "
             f"difference {off:.2g} {shown('force').unit}."
         )
         alt = f"Force over contraction without pressure, measured and fitted, apart by {off:.2g} N rms."
-        draw = bound(time_plots.marks_and_line, data, {"x": label(trace, "displacement"), "y": label(trace, "force")})
+        every = max(1, len(x) // MARKED)
+        lines = (Series("fitted", x, model, BROWN), Series("measured", x[::every], y[::every], INK, "o", hollow=True))
+        labels = label(trace, "displacement"), label(trace, "force")
+        chart = Chart(*labels, (*lines, *published([data])[0]), alt=alt, legend=True)
         table, title = numbers([("", trace)]), "Force of the rubber at 0 kPa"
-        found.append(picture(draw, title, caption, alt, table, wide=False, simulated=analysis.simulated))
+        found.append(of_charts([[chart]], title, caption, alt, table, simulated=analysis.simulated))
     return found
 
 

@@ -13,7 +13,7 @@ from pmabench.base.quantities import show
 from pmabench.kinds.isometric_pressurisation.braid import ALPHAS, NAMES, Section
 from pmabench.kinds.isometric_pressurisation.curve import REST, Cell, pulling
 from pmabench.kinds.isometric_pressurisation.sections import Across
-from pmabench.plotting.chart import BLUE, Series, of_points
+from pmabench.plotting.chart import BLUE, Chart, Series
 from pmabench.plotting.pictures import Picture, column, has, numbers, of_charts, unit_of
 from pmabench.plotting.wording import shown
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Trace
@@ -216,9 +216,9 @@ def _section(trace: Trace, simulated: bool) -> Picture:
         f"{labels[1]} over {labels[0]}: {int(point.sum())} slopes from {slope[point].max():.4g} down to "
         f"{slope[point].min():.4g}, and a curve through them with a band."
     )
-    chart = of_points([fitted_line, points], *labels, alt, simulated=simulated)
+    chart = Chart(*labels, (fitted_line, points), alt=alt)
     title, table = "Force by pressure, S, over contraction", numbers([("", trace)])
-    return of_charts([[chart]], title, caption, alt, table, simulated=simulated, still=True)
+    return of_charts([[chart]], title, caption, alt, table, simulated=simulated)
 
 
 def volumes(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
@@ -230,7 +230,7 @@ def volumes(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
         caption = "Volumes from the mass of air that a slow ramp of pressure lets in, with their 95 % intervals."
         alt = f"{labels[1]} over {labels[0]}: {len(V)} volumes from {V.min():.4g} to {V.max():.4g}."
         points = Series("", x, V, BLUE, "o", half)
-        chart = of_points([points], *labels, alt, simulated=analysis.simulated)
+        chart = Chart(*labels, (points,), alt=alt)
         title, table = "Volume by mass flow", numbers([("", trace)])
-        found.append(of_charts([[chart]], title, caption, alt, table, simulated=analysis.simulated, still=True))
+        found.append(of_charts([[chart]], title, caption, alt, table, simulated=analysis.simulated))
     return found

@@ -34,8 +34,8 @@ from pmabench.analysis.shared.trials import grouped, mean_of_trials, measured_tr
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.kinds.joint_step import RESULTS
-from pmabench.plotting import time_plots
-from pmabench.plotting.pictures import Picture, bound, has, how_many, label, numbers, panel, picture, spread
+from pmabench.plotting import panels as drawn
+from pmabench.plotting.pictures import Picture, has, how_many, label, numbers, of_charts, panel, spread
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -305,9 +305,8 @@ def courses(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     )
     alt = f"{labels['y']} over {labels['t']} below its reference: {', '.join(trace.title for trace in chosen)}."
     table = numbers([(trace.title, trace) for trace in chosen])
-    drawn = bound(time_plots.steps, panels, labels)
-    wide = len(panels) > 1
-    return [picture(drawn, "Angle in closed loop", caption, alt, table, wide=wide, simulated=analysis.simulated)]
+    rows = drawn.courses(panels, labels)
+    return [of_charts(rows, "Angle in closed loop", caption, alt, table, simulated=analysis.simulated)]
 
 
 def one_trial(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:

@@ -24,20 +24,8 @@ from pmabench.analysis.shared.trials import grouped, measured_trials
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.kinds.joint_sweep import RESULTS
-from pmabench.plotting import time_plots
-from pmabench.plotting.pictures import (
-    Picture,
-    bound,
-    has,
-    head,
-    how_many,
-    label,
-    numbers,
-    panel,
-    picture,
-    reach,
-    spread,
-)
+from pmabench.plotting import panels as drawn
+from pmabench.plotting.pictures import Picture, has, head, how_many, label, numbers, of_charts, panel, reach, spread
 from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Trace
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -356,9 +344,8 @@ def loops(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     )
     alt = f"{labels['y']} over {labels['x']} as loops: {', '.join(title for title, *_ in panels)}, with the mean curve."
     table = numbers([(head(trace), trace) for trace in chosen])
-    wide = len(panels) > 1
-    drawn = bound(time_plots.loops, panels, labels)
-    return [picture(drawn, "Torque over angle", caption, alt, table, wide=wide, simulated=analysis.simulated)]
+    rows = drawn.loops(panels, labels)
+    return [of_charts(rows, "Torque over angle", caption, alt, table, simulated=analysis.simulated)]
 
 
 def one_trial(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:

@@ -24,8 +24,8 @@ from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.kinds.joint_torque import RESULTS
 from pmabench.kinds.joint_torque.staircase import ORDERS, ROUNDED, Staircase, ramps_of, staircase_of
-from pmabench.plotting import time_plots
-from pmabench.plotting.pictures import Picture, bound, has, how_many, label, numbers, panel, picture, spread, unit_of
+from pmabench.plotting import panels as drawn
+from pmabench.plotting.pictures import Picture, has, how_many, label, numbers, of_charts, panel, spread, unit_of
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace, withhold
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -389,9 +389,9 @@ def maps(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
             f"{how_many(chosen, able)}"
         )
         alt = f"{labels['y']} and {labels['gap']} over {labels['x']} at {', '.join(chosen)}."
-        drawn, table = bound(time_plots.means, panels, labels), numbers([("", trace)])
+        rows, table = drawn.curves(panels, labels), numbers([("", trace)])
         title = "Torque and stiffness over angle"
-        found.append(picture(drawn, title, caption, alt, table, wide=False, simulated=analysis.simulated))
+        found.append(of_charts(rows, title, caption, alt, table, simulated=analysis.simulated))
     return found
 
 

@@ -12,7 +12,7 @@ from pmabench.analysis.shared.samples import NotUsable
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.kinds.platform_step import MUSCLES
 from pmabench.kinds.platform_step.reduction import course_of
-from pmabench.plotting.chart import BLUE, BROWN, INK, PAGE, PALETTE, Chart, Series, small_multiples, stamped
+from pmabench.plotting.chart import BLUE, BROWN, INK, PAGE, PALETTE, Chart, Series, small_multiples
 from pmabench.plotting.pictures import Picture, has, head, how_many, label, numbers, of_charts, panel, spread
 from pmabench.store.analyses.results import Analysis, Trace
 from pmabench.store.records import RunData, TrialData
@@ -35,12 +35,11 @@ def attitudes(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     )
     alt = f"Attitude and pressures over time: {'; '.join(map(head, chosen))}."
     table = numbers([(head(trace), trace) for trace in chosen], SHOWN[:8])
-    rows = small_multiples([_charts(trace, stamped(analysis.simulated)) for trace in chosen], COLUMNS, width=PAGE)
-    simulated = analysis.simulated
-    return [of_charts(rows, "Attitude of the platform", caption, alt, table, simulated=simulated, still=True)]
+    rows = small_multiples(list(map(_charts, chosen)), COLUMNS, width=PAGE)
+    return [of_charts(rows, "Attitude of the platform", caption, alt, table, simulated=analysis.simulated)]
 
 
-def _charts(trace: Trace, stamp: str) -> list[Chart]:
+def _charts(trace: Trace) -> list[Chart]:
     """Attitude, and pressures below, of one trial."""
     found = panel(trace, {name: name for name in SHOWN}, "").columns
     t, t_label = found["t"], label(trace, "t")
@@ -54,8 +53,8 @@ def _charts(trace: Trace, stamp: str) -> list[Chart]:
         for lines in (angles, pressures)
     )
     return [
-        Chart(t_label, "phi, psi [deg]", upper, PAGE, UPPER, "", title=head(trace), legend=True, stamp=stamp),
-        Chart(t_label, "pressure [kPa]", lower, PAGE, LOWER, "", legend=True, y_ticks=4),
+        Chart(t_label, "phi, psi [deg]", upper, height=UPPER, title=head(trace), legend=True),
+        Chart(t_label, "pressure [kPa]", lower, height=LOWER, legend=True, y_ticks=4),
     ]
 
 

@@ -24,7 +24,6 @@ from pmabench.plotting.chart import (
     Level,
     Series,
     small_multiples,
-    stamped,
 )  # fmt: skip
 from pmabench.plotting.motion import overlays
 from pmabench.plotting.pictures import Picture, has, head, how_many, label, numbers, of_charts, panel, spread, unit_of
@@ -58,10 +57,9 @@ def positions(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     )
     table = numbers([(head(t), t) for t in chosen], ("t", "setpoint", "displacement", "model", "pressure_command"))
     reach = max(map(_reach, chosen))
-    stamp = stamped(analysis.simulated)
-    pairs = [_charts(trace, reach, stamp, modelled=modelled) for trace in chosen]
-    rows = small_multiples(pairs, COLUMNS, common=False, one_x=False, width=PAGE)
-    return [of_charts(rows, "Positions in closed loop", caption, alt, table, simulated=analysis.simulated, still=True)]
+    pairs = [_charts(trace, reach, modelled=modelled) for trace in chosen]
+    rows = small_multiples(pairs, COLUMNS, common="", one_x=False, width=PAGE)
+    return [of_charts(rows, "Positions in closed loop", caption, alt, table, simulated=analysis.simulated)]
 
 
 def paths(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
@@ -70,7 +68,7 @@ def paths(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     return overlays(mine, analysis, "the place that was wanted", "Along a path", most=MOST, columns=())
 
 
-def _charts(trace: Trace, reach: float, stamp: str, *, modelled: bool) -> list[Chart]:
+def _charts(trace: Trace, reach: float, *, modelled: bool) -> list[Chart]:
     """The approach, up to `APPROACH`, and below the distance from the set-point over the whole hold, up to `reach`."""
     names = ("t", "displacement", "setpoint", *["model"] * modelled)
     found = panel(trace, {name: name for name in names}, "").columns
@@ -87,11 +85,11 @@ def _charts(trace: Trace, reach: float, stamp: str, *, modelled: bool) -> list[C
     begin = min(0.0, float(t[0]))
     return [
         Chart(
-            label(trace, "t"), f"contraction [{unit.unit}]", tuple(near), PAGE, UPPER, "",
-            ends=(begin, APPROACH, None, None), title=head(trace), legend=True, stamp=stamp, y_ticks=4,
+            label(trace, "t"), f"contraction [{unit.unit}]", tuple(near), height=UPPER,
+            ends=(begin, APPROACH, None, None), title=head(trace), legend=True, y_ticks=4,
         ),
         Chart(
-            label(trace, "t"), f"x − set-point [{unit.unit}]", tuple(far), PAGE, LOWER, "",
+            label(trace, "t"), f"x − set-point [{unit.unit}]", tuple(far), height=LOWER,
             ends=(0.0, float(t[-1]), -reach, reach), levels=levels, legend=True, y_ticks=3,
         ),
     ]  # fmt: skip

@@ -24,7 +24,8 @@ from pmabench.analysis.shared.trials import grouped, point_by, thinned
 from pmabench.base.quantities import show
 from pmabench.kinds.sinusoidal_displacement.fit import Member, Muscle, of_cycles
 from pmabench.kinds.sinusoidal_displacement.form import rows_of_cycles
-from pmabench.plotting import pictures, time_plots
+from pmabench.plotting import pictures
+from pmabench.plotting.chart import BLUE, BROWN, FAINT, INK, Chart, Level, Series, closed, small_multiples
 from pmabench.plotting.wording import shown
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array
@@ -256,7 +257,25 @@ def sine_pressure(traces: Sequence[Trace], analysis: Analysis) -> list[pictures.
         f"{pictures.reach(worst)} {shown('pressure').unit}.{pictures.how_many(chosen, able)}"
     )
     alt = f"Force and pressure error over contraction along sines at {'; '.join(p.title for p in panels)}."
-    draw = pictures.bound(time_plots.sine_pressure, panels, labels)
+    rows = small_multiples([_charts(one, labels) for one in panels], 4)
     table = pictures.numbers([(p.title, t) for p, t in zip(panels, chosen, strict=True)])
     title = "Force with set and with measured pressure"
-    return [pictures.picture(draw, title, caption, alt, table, wide=len(chosen) > 1, simulated=analysis.simulated)]
+    return [pictures.of_charts(rows, title, caption, alt, table, simulated=analysis.simulated)]
+
+
+def _charts(one: pictures.Panel, labels: dict[str, str]) -> tuple[Chart, Chart]:
+    """Loops over x of the force and of both models, and of the error below."""
+    x = closed(one.columns["x"])
+    looks = (
+        ("y", "measured", FAINT, 3.0),
+        ("set", "set pressure", BLUE, 1.0),
+        ("model", "measured pressure", BROWN, 1.0),
+    )
+    lines = [
+        Series(word, x, closed(one.columns[name]), color, width=width, dashed=name == "model")
+        for name, word, color, width in looks
+    ]
+    error = (Series("", x, closed(one.columns["error"]), INK, width=1.0),)
+    upper = Chart(labels["x"], labels["y"], tuple(lines), height=142.0, title=one.title, legend=True)
+    zero = (Level(0.0, color=FAINT, dashed=False),)
+    return upper, Chart(labels["x"], labels["error"], error, height=100.0, y_ticks=4, levels=zero)

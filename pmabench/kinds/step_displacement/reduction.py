@@ -25,9 +25,9 @@ from pmabench.analysis.verdict.agreement import Offer, exactly, values_of, weigh
 from pmabench.base.quantities import show
 from pmabench.kinds.step_displacement import RESULTS
 from pmabench.kinds.step_displacement.step import Recovery, Relaxation, Steps, measure
-from pmabench.plotting import time_plots
-from pmabench.plotting.pictures import Picture, bound, column, has, head, how_many, label, numbers, picture, spread
-from pmabench.plotting.plots import Array, Panel
+from pmabench.plotting import panels as drawn
+from pmabench.plotting.chart import Array
+from pmabench.plotting.pictures import Panel, Picture, column, has, head, how_many, label, numbers, of_charts, spread
 from pmabench.plotting.wording import shown
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace, withhold
 from pmabench.store.records import RunData, TrialData
@@ -392,10 +392,9 @@ def steps(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     alt = (
         f"Contraction, force and pressure over time around steps of displacement: {'; '.join(p.title for p in panels)}."
     )
-    draw = bound(time_plots.steps, panels, labels)
     table = numbers([(p.title, t) for p, t in zip(panels, chosen, strict=True)])
-    title = "Steps of displacement"
-    return [picture(draw, title, caption, alt, table, wide=len(chosen) > 1, simulated=analysis.simulated)]
+    rows, title = drawn.courses(panels, labels), "Steps of displacement"
+    return [of_charts(rows, title, caption, alt, table, simulated=analysis.simulated)]
 
 
 def _around(trace: Trace, names: dict[str, str]) -> dict[str, Array]:

@@ -15,7 +15,7 @@ from math import isfinite
 
 import numpy as np
 
-from pmabench.plotting.chart import BLUE, BROWN, FAINT, MOST_POINTS, QUIET, Array, Chart, Series, with_common_sides
+from pmabench.plotting.chart import BLUE, BROWN, FAINT, QUIET, Array, Chart, Series, with_common_sides
 from pmabench.plotting.pictures import Picture, column, has, head, label, numbers, of_charts, spread, unit_of
 from pmabench.plotting.wording import Frame, half_width, rounded
 from pmabench.report.document.tables import is_number, mappings
@@ -107,7 +107,6 @@ def force_picture(analyses: Sequence[Analysis], less: float = 0.0) -> Picture | 
         alt=alt,
         tested=_tested(levels, low, high),
         zero=True,
-        stamp="SIMULATED" if simulated else "",
     )
     friction = next((e.value or 0.0 for a in analyses for e in a.estimates if e.symbol == "F_c" and not e.at), 0.0)
     size = rounded(friction, None, 3) if friction > 0 else ""
@@ -207,12 +206,10 @@ def stroke_picture(analyses: Sequence[Analysis]) -> tuple[Picture, Trace] | None
     if not able:
         return None
     trace, analysis = max(able, key=lambda pair: float(np.nanmax(np.abs(pair[0].columns["displacement"]))))
-    stride = max(1, -(-len(trace.columns["t"]) // MOST_POINTS))
-    t, x, model = (column(trace, name)[::stride] for name in ("t", "displacement", "model"))
+    t, x, model = (column(trace, name) for name in ("t", "displacement", "model"))
     apart = model - x
     rms = float(np.sqrt(np.mean(apart[np.isfinite(apart)] ** 2)))
     unit, where = unit_of(trace, "displacement").unit, head(trace)
-    stamp = "SIMULATED" if analysis.simulated else ""
     misfit = f"{half_width(rms)} {unit} rms"
     share = 100 * rms / float(np.ptp(x[np.isfinite(x)]) or 1.0)
     upper = Chart(
@@ -226,7 +223,6 @@ def stroke_picture(analyses: Sequence[Analysis]) -> tuple[Picture, Trace] | None
         height=HIGH,
         alt=f"Contraction over time at {where}: measured, and the fitted muscle on it.",
         together="stroke",
-        stamp=stamp,
         x_named=False,
     )
     lower = Chart(

@@ -23,6 +23,8 @@ from pmabench.report.document.deviations import Said
 from pmabench.report.writing import write_file
 
 FONT = "Inter"
+TALL = 230.0
+"""Height from which on a wide picture of the certificate is as high as its place, not as wide [pt]."""
 OTHER_SCRIPTS = re.compile("[\u0530-\u1dff\u2c00-\U0010ffff]")
 """Neither Latin, Greek nor Cyrillic, no punctuation and no sign of mathematics."""
 
@@ -81,7 +83,7 @@ class _Data:
             p, name = value.picture, f"figure-{value.n}.svg"
             (self.folder / name).write_text(as_file(p.svg, FONT), encoding="utf-8")
             about = self.plain({"title": p.title, "caption": p.caption, "alt": p.alt})
-            return about | {"n": value.n, "file": name, "wide": p.wide, "charted": bool(p.charts)}
+            return about | {"n": value.n, "file": name, "wide": p.wide, "charted": p.wide and p.height < TALL}
         elif isinstance(value, Said):
             return _note(value)
         elif isinstance(value, Sheet):
