@@ -194,7 +194,8 @@ def limits(chart: Chart) -> tuple[float, float, float, float]:
     )
     room = 0.06 * (y1 - y0)
     below = 0.0 if chart.zero and y0 >= -1e-6 * y1 else y0 - room
-    aside = 0.0 if any(not s.mark and len(s.x) > 100 and np.all(np.diff(s.x) >= 0) for s in series) else 0.03
+    over_time = any(not s.mark and len(s.x) > 100 and np.all(np.diff(s.x) >= 0) for s in series)
+    aside = 0.0 if over_time and not any(s.mark for s in series) else 0.03
     if chart.log:
         found = x0 * (x0 / x1) ** aside, x1 * (x1 / x0) ** aside, below, y1 + room
     else:
@@ -274,13 +275,18 @@ def _sides(charts: Sequence[Chart]) -> tuple[float, float]:
 
 
 def small_multiples(
-    items: Sequence[Chart | Sequence[Chart]], columns: int, *, common: str = "xy", width: float = 0.0
+    items: Sequence[Chart | Sequence[Chart]],
+    columns: int,
+    *,
+    common: str = "xy",
+    one_x: bool = True,
+    width: float = 0.0,
 ) -> list[list[Chart]]:
     """Rows of a figure: charts side by side in up to so many columns, fewer where titles do not fit.
 
-    An item is one chart, or several above each other with one x axis. `common` names the axes whose limits are the same
-    in all; with a common y its labels are at the first column alone. One item is narrow, several are as wide as a page,
-    unless a `width` is given.
+    An item is one chart, or several above each other, with `one_x` axis. `common` names the axes whose limits are the
+    same in all; with a common y its labels are at the first column alone. One item is narrow, several are as wide as a
+    page, unless a `width` is given.
     """
     stacks = [[item] if isinstance(item, Chart) else list(item) for item in items]
     total = width or (COLUMN if len(stacks) == 1 else PAGE)
@@ -291,7 +297,7 @@ def small_multiples(
     for stack, found in zip(stacks, every, strict=True):
         own = (x0, x1) if "x" in common else (min(e[0] for e in found), max(e[1] for e in found))
         stack[:] = [
-            replace(chart, ends=(*own, *(y if "y" in common else ends[2:])))
+            replace(chart, ends=(*(own if one_x else ends[:2]), *(y if "y" in common else ends[2:])))
             for chart, y, ends in zip(stack, ys, found, strict=True)
         ]
     longest = max(len(chart.title) for stack in stacks for chart in stack) * NAME * BOLD
@@ -314,8 +320,8 @@ def small_multiples(
                     width=side + wide + right,
                     sides=(side, right),
                     y_named=first,
-                    x_named=place == len(stack) - 1,
-                    together=chart.together or (f"stack {n}" if len(stack) > 1 else ""),
+                    x_named=not one_x or place == len(stack) - 1,
+                    together=chart.together or (f"stack {n}" if len(stack) > 1 and one_x else ""),
                 )
             )
     return rows

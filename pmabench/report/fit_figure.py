@@ -51,7 +51,9 @@ def _curves(
     known = {p.name: p for p in fit.model.parameters}
     x_unit = shown(known[over].quantity)
     x, residual = fit.columns[over], fit.measured - fit.computed
-    lines, marks, apart = [], [], []
+    lines: list[Series] = []
+    marks: list[Series] = []
+    apart: list[Series] = []
     for i, group in enumerate(groups):
         color, mine = PALETTE[i % len(PALETTE)], member == i
         fine = np.linspace(x[mine].min(), x[mine].max(), POINTS)

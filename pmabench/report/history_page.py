@@ -9,7 +9,7 @@ import numpy as np
 
 from pmabench.analysis.verdict.life import Past, References, Series, chosen
 from pmabench.base.quantities import in_words
-from pmabench.plotting.chart import BLUE, FAINT, FAULT, PAGE, Chart, Level, ticks
+from pmabench.plotting.chart import BLUE, FAINT, FAULT, PAGE, Chart, Level
 from pmabench.plotting.chart import Series as Drawn
 from pmabench.plotting.pictures import LARGEST, Picture, of_charts
 from pmabench.plotting.wording import Frame, clean, point_text, rounded, shown, symbol_text
@@ -55,7 +55,6 @@ def _over_cycles(one: Series, *, simulated: bool) -> Picture:
         x, over, axis = np.arange(1.0, len(x) + 1), "in order of time", "value, in order of time"
     y = np.array([m.estimate.value or 0.0 for m in moments]) / unit.scale
     bars = np.array([m.estimate.parts.combined or 0.0 for m in moments]) / unit.scale
-
     series = (Drawn("", x, y, BLUE, "o", bars),)
     x_ticks = () if axis == "pressure cycles" else _whole(len(x))
     chart = Chart(axis, unit.label(clean(e.symbol, 20)), series, x_ticks=x_ticks)
@@ -84,13 +83,12 @@ def _control(one: References, *, simulated: bool) -> Picture:
     """Strokes of a reference trial by days in order of time, and their means with control limits."""
     strokes = np.array([stroke for _, _, stroke, _ in one.moments]) * 1e3
     limits, days = one.chart, one.days
-    means, place = np.array([stroke for _, _, stroke, _ in days]) * 1e3, np.arange(1, len(days) + 1)
+    means, place = np.array([stroke for _, _, stroke, _ in days]) * 1e3, np.arange(1.0, len(days) + 1)
     dates = [date[:10] for date, *_ in days]
-    single = [dates.index(date[:10]) + 1 for date, *_ in one.moments]
+    single = np.array([dates.index(date[:10]) + 1.0 for date, *_ in one.moments])
     alarms = set() if limits is None else {*limits.beyond, *([limits.shifted] if limits.shifted is not None else [])}
-
     marks = [
-        Drawn("", np.array(single), strokes, FAINT, "."),
+        Drawn("", single, strokes, FAINT, "."),
         Drawn("", place, means, FAINT, width=0.8),
         *(
             Drawn("", place[mine], means[mine], FAULT if alarm else BLUE, "s" if alarm else "o")
@@ -126,8 +124,8 @@ def _control(one: References, *, simulated: bool) -> Picture:
 
 
 def _whole(most: int) -> tuple[float, ...]:
-    """Ticks at whole numbers from 1 on."""
-    return tuple(tick for tick in ticks(1, most, 10) if tick == int(tick))
+    """About ten ticks at whole numbers from 1 on."""
+    return tuple(map(float, range(1, most + 1, -(-most // 10))))
 
 
 Rows = tuple[list[str], list[list[str]]]
