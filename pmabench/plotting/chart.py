@@ -422,8 +422,8 @@ def _spans(frame: _Frame) -> list[str]:
     for level in frame.chart.levels:
         if level.to is None:
             continue
-        place = frame.across if level.upright else frame.down
-        low, high = sorted((place(level.at), place(level.to)))
+        at = frame.across if level.upright else frame.down
+        low, high = sorted((at(level.at), at(level.to)))
         x, y, wide, high = (
             (low, frame.top, high - low, frame.bottom - frame.top)
             if level.upright

@@ -215,8 +215,8 @@ def _against_frequency(panels: Sequence[Panel], name: str, labels: dict[str, str
         series.append(Series(one.title, at["frequency"], at[name], color, MARKS[n % len(MARKS)]))
     values = np.concatenate([one.y[np.isfinite(one.y)] for one in series])
     middle = float(values.max() + values.min()) / 2
-    flat = float(np.ptp(values)) < NARROW * abs(middle)
-    ends = (None, None, *sorted((middle * (1 - NARROW / 2), middle * (1 + NARROW / 2)))) if flat else (None,) * 4
+    low, high = sorted((middle * (1 - NARROW / 2), middle * (1 + NARROW / 2)))
+    ends = (None, None, low, high) if np.ptp(values) < NARROW * abs(middle) else (None, None, None, None)
     ticks = tuple(sorted({float(f) for one in panels for f in one.columns["frequency"]}))
     return Chart(labels["frequency"], labels[name], tuple(series), legend=True, x_ticks=ticks, log=True, ends=ends)
 
