@@ -5,22 +5,17 @@ Helpers that figures share: display units of traces, thinning, data tables. For 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
-from typing import TYPE_CHECKING, TypeVar
+from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.plotting import plots
 from pmabench.plotting.chart import COLUMN, CROSSES, INK, Array, Chart, Series, joined, stamped
-from pmabench.plotting.svg import drawing, to_svg
 from pmabench.plotting.wording import COLUMNS, Frame, Shown, clean, shown
 from pmabench.store.analyses.results import Analysis, Estimate, Trace
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 Item = TypeVar("Item")
 TABLE_ROWS = 24
@@ -40,13 +35,15 @@ class Picture:
     title: str
     caption: str
     alt: str
-    draw: Callable[[], str]
-    """Returns the SVG."""
     table: Frame
-    wide: bool
     simulated: bool
-    rows: tuple[tuple[Chart, ...], ...] = ()
+    rows: tuple[tuple[Chart, ...], ...]
     """The charts it consists of: the page of a report draws them again, with zoom."""
+
+    @property
+    def wide(self) -> bool:
+        """Whether it is as wide as a page."""
+        return sum(chart.width for chart in self.rows[0]) > COLUMN
 
     @property
     def charts(self) -> list[Chart]:
@@ -68,32 +65,15 @@ class Picture:
     @cached_property
     def svg(self) -> str:
         """The drawing, as an SVG element."""
-        return self.draw()
+        return joined(self.rows, self.alt)
 
 
 def of_charts(
     rows: Sequence[Sequence[Chart]], title: str, caption: str, alt: str, table: Frame, *, simulated: bool
 ) -> Picture:
     """A picture of charts in rows, with a stamp in its corner if simulated."""
-    wide = sum(chart.width for chart in rows[0]) > COLUMN
     drawn = tuple(tuple(row) for row in (stamped(rows) if simulated else rows))
-    return Picture(title, caption, alt, partial(joined, drawn, alt), table, wide, simulated, drawn)
-
-
-def picture(
-    draw: Callable[[], Figure], title: str, caption: str, alt: str, table: Frame, *, wide: bool, simulated: bool
-) -> Picture:
-    """A figure drawn in the style of reports, with a stamp if simulated."""
-
-    def svg() -> str:
-        with drawing():
-            figure = draw()
-            plots.fit_labels(figure)
-            if simulated:
-                plots.stamp(figure, "SIMULATED")
-            return to_svg(figure, f"{'Simulated. ' if simulated else ''}{alt}")
-
-    return Picture(title, caption, alt, svg, table, wide, simulated)
+    return Picture(title, caption, alt, table, simulated, drawn)
 
 
 def drawable(analysis: Analysis) -> Analysis:
@@ -225,11 +205,6 @@ def head(trace: Trace) -> str:
 def how_many(chosen: Sequence[object], able: Sequence[object]) -> str:
     """A sentence if not all are shown; else empty."""
     return f" {len(chosen)} of {len(able)} are shown." if len(chosen) < len(able) else ""
-
-
-def bound(draw: Callable[..., Figure], *arguments: object) -> Callable[[], Figure]:
-    """`draw` with its arguments bound, to be called in the style of reports."""
-    return lambda: draw(*arguments)
 
 
 def reach(values: Sequence[float]) -> str:
