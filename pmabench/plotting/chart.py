@@ -303,8 +303,10 @@ def small_multiples(
     longest = max(len(chart.title) for stack in stacks for chart in stack) * NAME * BOLD
     left, right = _sides([replace(chart, width=total / columns, sides=None) for stack in stacks for chart in stack])
     inner = INNER if "y" in common else left
-    while (wide := _axes_width(total, columns, left, inner, right)) < longest and columns > 1:
+    while _axes_width(total, columns, left, inner, right) < longest and columns > 1:
         columns -= 1
+    columns = ceil(len(stacks) / ceil(len(stacks) / columns))
+    wide = _axes_width(total, columns, left, inner, right)
     rows: list[list[Chart]] = []
     for n, stack in enumerate(stacks):
         first = "y" not in common or n % columns == 0
@@ -422,14 +424,12 @@ def _spans(frame: _Frame) -> list[str]:
     for level in frame.chart.levels:
         if level.to is None:
             continue
-        at = frame.across if level.upright else frame.down
-        low, high = sorted((at(level.at), at(level.to)))
-        x, y, wide, high = (
-            (low, frame.top, high - low, frame.bottom - frame.top)
-            if level.upright
-            else (frame.left, low, frame.right - frame.left, high - low)
-        )
-        place = f'x="{_n(x)}" y="{_n(y)}" width="{_n(wide)}" height="{_n(high)}"'
+        x0, x1, y0, y1 = frame.left, frame.right, frame.top, frame.bottom
+        if level.upright:
+            x0, x1 = sorted((frame.across(level.at), frame.across(level.to)))
+        else:
+            y0, y1 = sorted((frame.down(level.at), frame.down(level.to)))
+        place = f'x="{_n(x0)}" y="{_n(y0)}" width="{_n(x1 - x0)}" height="{_n(y1 - y0)}"'
         out.append(f'<rect {place} fill="{level.color}" fill-opacity="0.13"/>')
     return out
 

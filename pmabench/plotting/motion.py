@@ -215,10 +215,18 @@ def _against_frequency(panels: Sequence[Panel], name: str, labels: dict[str, str
         series.append(Series(one.title, at["frequency"], at[name], color, MARKS[n % len(MARKS)]))
     values = np.concatenate([one.y[np.isfinite(one.y)] for one in series])
     middle = float(values.max() + values.min()) / 2
-    low, high = sorted((middle * (1 - NARROW / 2), middle * (1 + NARROW / 2)))
-    ends = (None, None, low, high) if np.ptp(values) < NARROW * abs(middle) else (None, None, None, None)
+    half = NARROW / 2 * abs(middle)
+    low, high = (middle - half, middle + half) if float(np.ptp(values)) < 2 * half else (None, None)
     ticks = tuple(sorted({float(f) for one in panels for f in one.columns["frequency"]}))
-    return Chart(labels["frequency"], labels[name], tuple(series), legend=True, x_ticks=ticks, log=True, ends=ends)
+    return Chart(
+        labels["frequency"],
+        labels[name],
+        tuple(series),
+        legend=True,
+        x_ticks=ticks,
+        log=True,
+        ends=(None, None, low, high),
+    )
 
 
 def _growth_panel(trace: Trace) -> Panel | None:
