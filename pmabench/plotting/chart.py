@@ -57,8 +57,8 @@ GAP = 12.0
 """Gap between charts in a row [pt]."""
 INNER = 4.0
 """Room left of axes whose labels are at the chart on their left [pt]."""
-NEAR = 0.08
-"""Distance from its line at which a point of the drawing is left out [pt]."""
+NEAR = 0.15
+"""Distance from its line up to which a point of the drawing is left out [pt]."""
 COLUMN, PAGE, HIGH = 249.0, 510.0, 160.0
 """Widths of narrow and of wide pictures, and their usual height [pt]."""
 POINTS, MOST_DOTS = 4, 300
@@ -536,18 +536,23 @@ def _inside(x: Array, y: Array, low: float, high: float) -> tuple[Array, Array]:
 
 
 def needed(x: Array, y: Array, near: float) -> NDArray[np.intp]:
-    """Rows of a line without those that are so near to the straight line between their neighbours."""
-    kept = np.arange(len(x))
-    for turn in range(12):
-        middle = np.arange(1 + turn % 2, len(kept) - 1, 2)
-        a, b, c = (kept[middle + aside] for aside in (-1, 0, 1))
-        along = np.array([x[c] - x[a], y[c] - y[a]])
-        way = np.array([x[b] - x[a], y[b] - y[a]])
-        length = np.hypot(*along)
-        off = np.abs(along[0] * way[1] - along[1] * way[0])
-        between = (way * along).sum(axis=0)
-        useless = (off < near * length) & (between >= 0) & (between <= length**2)
-        kept = np.delete(kept, middle[useless])
+    """Rows of a line from which every other one is at most so far away; what is no number, and its neighbours, stay.
+
+    Each part between two kept points is cut where it is farthest from its chord, until none is too far (Ramer 1972).
+    """
+    every = np.arange(len(x))
+    unknown = np.flatnonzero(~np.isfinite(x + y))
+    kept = np.unique(np.clip([0, len(x) - 1, *unknown, *(unknown - 1), *(unknown + 1)], 0, len(x) - 1))
+    while len(kept) < len(x):
+        part = np.minimum(np.searchsorted(kept, every, "right") - 1, len(kept) - 2)
+        a, b = kept[part], kept[part + 1]
+        along, way = (np.array([x[to] - x[a], y[to] - y[a]]) for to in (b, every))
+        share = np.clip((along * way).sum(axis=0) / np.maximum((along**2).sum(axis=0), 1e-300), 0.0, 1.0)
+        off = np.nan_to_num(np.hypot(*(way - share * along)))
+        far = np.flatnonzero((off > near) & (off == np.maximum.reduceat(off, kept[:-1])[part]))
+        if not len(far):
+            break
+        kept = np.sort(np.append(kept, far[np.unique(part[far], return_index=True)[1]]))
     return kept
 
 
