@@ -19,8 +19,9 @@ import numpy as np
 from pmabench.plotting.chart import Array, Chart, Series, level_names, limits, rows_needed
 from pmabench.plotting.looks import SHAPES
 from pmabench.plotting.pictures import Picture
+from pmabench.plotting.svg import symbol_parts
 
-AS_THEY_ARE = ("label", "color", "mark", "hollow", "width", "dashed", "method")
+AS_THEY_ARE = ("color", "mark", "hollow", "width", "dashed", "method")
 """Fields of a series that the script takes as they are."""
 DIGITS, FINE = 5, 2e-4
 """Significant digits of the numbers, and resolution of lines as a share of the range of their axis."""
@@ -75,9 +76,9 @@ def _chart(chart: Chart) -> dict[str, Any]:
     x0, x1, y0, y1 = (float(f"{end:.8g}") for end in limits(chart))
     places = {level: {"right": right, "first": first} for level, _, _, right, first in level_names(chart)}
     return {
-        "x": chart.x_label,
-        "y": chart.y_label,
-        "title": chart.title,
+        "x": _greek(chart.x_label),
+        "y": _greek(chart.y_label),
+        "title": _greek(chart.title),
         "alt": chart.alt or chart.title,
         "range": [x0, x1, y0, y1],
         "ratio": round(chart.height / chart.width, 4),
@@ -87,11 +88,11 @@ def _chart(chart: Chart) -> dict[str, Any]:
         "log": chart.log,
         "ticks": chart.x_ticks,
         "sides": chart.sides,
-        "words": chart.words,
+        "words": _greek(chart.words),
         "stamp": chart.stamp,
         "together": chart.together,
         "tested": None if chart.tested is None else [_numbers(column) for column in chart.tested.T],
-        "levels": [{**vars(level), **places.get(level, {})} for level in chart.levels],
+        "levels": [{**vars(level), "name": _greek(level.name), **places.get(level, {})} for level in chart.levels],
         "series": [_series(chart, s) for s in chart.series],
     }
 
@@ -106,13 +107,19 @@ def _series(chart: Chart, s: Series) -> dict[str, Any]:
         **{name: getattr(s, name) for name in AS_THEY_ARE},
         "hidden": s.hidden or loop,
         "shape": SHAPES.get(s.mark),
-        "said": s.said or s.label,
+        "label": _greek(s.label),
+        "said": _greek(s.said or s.label),
         "half": None if s.half is None else _numbers(s.half[rows]),
         "name": s.name_color or s.color,
         "first": s.named_first,
     }
     places = {"x": _numbers(s.x[rows], fine[0]), "y": _numbers(s.y[rows], fine[1])}
     return {name: value for name, value in found.items() if value} | places
+
+
+def _greek(text: str) -> str:
+    """The text with names of Greek letters as letters; subscripts stay behind their `_`."""
+    return "".join(f"_{part}" if kind == "sub" else part for kind, part in symbol_parts(text))
 
 
 def _numbers(values: Array, fine: float = 0.0) -> list[float | None]:

@@ -7,7 +7,7 @@
   var INK = "#16202a", QUIET = "#52606d", GRID = "#e8edf2", UNTESTED = "#eef1f5", STAMP = "#8a4b00";
   var GLYPHS = { "": "\u2014", o: "\u25cf", s: "\u25a0", "^": "\u25b2", v: "\u25bc", D: "\u25c6", "<": "\u25c0", x: "\u00d7", "+": "+", "*": "\u2217", ".": "\u00b7" };
   var OPEN = { o: "\u25cb", s: "\u25a1", "^": "\u25b3", v: "\u25bd", D: "\u25c7", "<": "\u25c1" };
-  var SYMBOL = /([A-Za-z]+)_([A-Za-z0-9]{1,4})/g;
+  var SYMBOL = /([A-Za-zα-ω]+)_([A-Za-z0-9]{1,4})/g;
 
   function element(tag, name, parent) {
     var made = document.createElement(tag);
