@@ -1,6 +1,7 @@
 """Components of figures: drawings from plain columns, their words, units and numbers; no kind of test, no page.
 
-- `chart`: axes and curves as data, for static SVG and for a script; `svg`: symbols, paths and files of a drawing
+- `chart`: axes and curves as data, for static SVG and for a script
+- `looks`: colours, shapes of marks; `svg`: symbols, paths and files of a drawing
 - `pictures`: charts with title, caption, alternative text and their numbers (a `Frame` of text)
 - `web`: files for pages (uPlot, the font Inter) with their licences; `unknown-sign.ttf`: a box for what no font has
 - figures that several kinds of test share: `panels`, `motion`

@@ -21,30 +21,10 @@ from math import ceil, floor, isfinite, log10
 import numpy as np
 from numpy.typing import NDArray
 
+from pmabench.plotting.looks import BROWN, CROSSES, GRID, INK, QUIET, SHAPES, UNTESTED
 from pmabench.plotting.svg import marked, shortened
 
 Array = NDArray[np.float64]
-
-INK, QUIET, FAINT = "#16202a", "#52606d", "#a3b1be"
-"""Colours of text, of secondary text, and of measured data under a model's line."""
-GRID, UNTESTED = "#e8edf2", "#eef1f5"
-BLUE, BROWN, GREEN, FAULT = "#0b5394", "#8a4b00", "#0a6c51", "#b3261e"
-DARK, TEAL, BRIGHT = "#271102", "#28a0bd", "#0b35da"
-PALETTE = (BLUE, BROWN, GREEN, DARK, TEAL, BRIGHT)
-"""Colours of series: any two are 30 Lab units apart, also for red-green blindness, with contrast 3 : 1 to paper."""
-MARKS, CROSSES = ("o", "s", "^", "D", "v", "<"), ("x", "+", "*")
-"""Shapes of own values, and of published ones."""
-SHAPES = {
-    "s": (((-0.9, -0.9), (0.9, -0.9), (0.9, 0.9), (-0.9, 0.9)),),
-    "^": (((0.0, -1.2), (1.15, 0.9), (-1.15, 0.9)),),
-    "v": (((0.0, 1.2), (1.15, -0.9), (-1.15, -0.9)),),
-    "<": (((-1.2, 0.0), (0.9, -1.15), (0.9, 1.15)),),
-    "D": (((0.0, -1.25), (1.25, 0.0), (0.0, 1.25), (-1.25, 0.0)),),
-    "x": (((-1.1, -1.1), (1.1, 1.1)), ((-1.1, 1.1), (1.1, -1.1))),
-    "+": (((-1.3, 0.0), (1.3, 0.0)), ((0.0, -1.3), (0.0, 1.3))),
-    "*": (((-1.2, 0.0), (1.2, 0.0)), ((-0.6, -1.0), (0.6, 1.0)), ((-0.6, 1.0), (0.6, -1.0))),
-}
-"""Outlines of marks, in radii; besides there are `o`, a dot, and `.`, a small dot for many samples."""
 
 TICK, LABEL, NAME = 7.4, 7.8, 8.0
 """Sizes of text at ticks, axis titles and curves [pt]."""
@@ -107,6 +87,11 @@ class Level:
     to: float | None = None
     dashed: bool = True
 
+    @property
+    def ends(self) -> Array:
+        """Both ends of a span, or twice the line."""
+        return np.array([self.at, self.at if self.to is None else self.to])
+
 
 @dataclass(frozen=True)
 class Chart:
@@ -139,7 +124,7 @@ class Chart:
     """Whether names are in a strip above the figure, with their marks: for names too long to stand at curves."""
     title: str = ""
     levels: tuple[Level, ...] = ()
-    ends: tuple[float | None, float | None, float | None, float | None] = (None, None, None, None)
+    ends: Sequence[float | None] = (None,) * 4
     """Limits x0, x1, y0, y1 where they are not to follow from the data; lines are cut at them."""
     x_ticks: tuple[float, ...] = ()
     """Ticks of the x axis; empty: round numbers."""
@@ -186,12 +171,8 @@ def limits(chart: Chart) -> tuple[float, float, float, float]:
     series = chart.shown or list(chart.series)
     halves = [0.0 if s.half is None or (s.mark and s.hollow) else np.nan_to_num(s.half) for s in series]
     ends = [s.y + way * half for s, half in zip(series, halves, strict=True) for way in (-1, 1)]
-    (x0, x1), (y0, y1) = (
-        _reach(
-            [*values, *[np.array([one.at, one.to or one.at]) for one in chart.levels if one.upright == upright]], log
-        )
-        for values, upright, log in (([s.x for s in series], True, chart.log), (ends, False, False))
-    )
+    x0, x1 = _reach([*(s.x for s in series), *(one.ends for one in chart.levels if one.upright)], chart.log)
+    y0, y1 = _reach([*ends, *(one.ends for one in chart.levels if not one.upright)], log=False)
     room = 0.06 * (y1 - y0)
     below = 0.0 if chart.zero and y0 >= -1e-6 * y1 else y0 - room
     over_time = any(not s.mark and len(s.x) > 100 and np.all(np.diff(s.x) >= 0) for s in series)
@@ -275,12 +256,7 @@ def _sides(charts: Sequence[Chart]) -> tuple[float, float]:
 
 
 def small_multiples(
-    items: Sequence[Chart | Sequence[Chart]],
-    columns: int,
-    *,
-    common: str = "xy",
-    one_x: bool = True,
-    width: float = 0.0,
+    items: Sequence[Chart | Sequence[Chart]], columns: int, *, common: str = "xy", one_x: bool = True, width: float = 0
 ) -> list[list[Chart]]:
     """Rows of a figure: charts side by side in up to so many columns, fewer where titles do not fit.
 
@@ -291,15 +267,14 @@ def small_multiples(
     stacks = [[item] if isinstance(item, Chart) else list(item) for item in items]
     total = width or (COLUMN if len(stacks) == 1 else PAGE)
     columns = max(1, min(columns, len(stacks)))
-    every = [[limits(chart) for chart in stack] for stack in stacks]
-    x0, x1 = min(e[0] for found in every for e in found), max(e[1] for found in every for e in found)
-    ys = [(min(e[2] for e in row), max(e[3] for e in row)) for row in zip(*every, strict=True)]
-    for stack, found in zip(stacks, every, strict=True):
-        own = (x0, x1) if "x" in common else (min(e[0] for e in found), max(e[1] for e in found))
-        stack[:] = [
-            replace(chart, ends=(*(own if one_x else ends[:2]), *(y if "y" in common else ends[2:])))
-            for chart, y, ends in zip(stack, ys, found, strict=True)
-        ]
+    every = np.array([[limits(chart) for chart in stack] for stack in stacks])  # by item, place and end
+    for end, outer in ((0, np.min), (1, np.max), (2, np.min), (3, np.max)):
+        if end < 2 and one_x:
+            every[..., end] = outer(every[..., end], axis=1, keepdims=True)
+        if "xxyy"[end] in common:
+            every[..., end] = outer(every[..., end], axis=0)
+    ends = iter(every.reshape(-1, 4).tolist())
+    stacks = [[replace(chart, ends=next(ends)) for chart in stack] for stack in stacks]
     longest = max(len(chart.title) for stack in stacks for chart in stack) * NAME * BOLD
     left, right = _sides([replace(chart, width=total / columns, sides=None) for stack in stacks for chart in stack])
     inner = INNER if "y" in common else left
@@ -424,11 +399,11 @@ def _spans(frame: _Frame) -> list[str]:
     for level in frame.chart.levels:
         if level.to is None:
             continue
-        x0, x1, y0, y1 = frame.left, frame.right, frame.top, frame.bottom
+        x0, x1, y0, y1 = inside(frame.chart)
         if level.upright:
-            x0, x1 = sorted((frame.across(level.at), frame.across(level.to)))
+            x0, x1 = sorted(map(frame.across, level.ends))
         else:
-            y0, y1 = sorted((frame.down(level.at), frame.down(level.to)))
+            y0, y1 = sorted(map(frame.down, level.ends))
         place = f'x="{_n(x0)}" y="{_n(y0)}" width="{_n(x1 - x0)}" height="{_n(y1 - y0)}"'
         out.append(f'<rect {place} fill="{level.color}" fill-opacity="0.13"/>')
     return out

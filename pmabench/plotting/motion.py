@@ -12,24 +12,8 @@ from math import pi
 
 import numpy as np
 
-from pmabench.plotting.chart import (
-    BLUE,
-    BROWN,
-    FAINT,
-    GAP,
-    INK,
-    MARKS,
-    PAGE,
-    PALETTE,
-    QUIET,
-    Array,
-    Chart,
-    Level,
-    Series,
-    closed,
-    small_multiples,
-    with_common_sides,
-)
+from pmabench.plotting.chart import GAP, PAGE, Array, Chart, Level, Series, closed, small_multiples, with_common_sides
+from pmabench.plotting.looks import BLUE, BROWN, FAINT, INK, MARKS, PALETTE, QUIET
 from pmabench.plotting.pictures import (
     Panel,
     Picture,

@@ -4,18 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from pmabench.plotting.chart import (
-    BLUE,
-    BROWN,
-    FAINT,
-    INK,
-    PALETTE,
-    QUIET,
-    Chart,
-    Level,
-    Series,
-    small_multiples,
-)
+from pmabench.plotting.chart import Chart, Level, Series, small_multiples
+from pmabench.plotting.looks import BLUE, BROWN, FAINT, INK, PALETTE, QUIET
 from pmabench.plotting.pictures import Panel, published
 
 Rows = list[list[Chart]]

@@ -13,7 +13,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.plotting.chart import COLUMN, CROSSES, INK, Array, Chart, Series, joined, stamped
+from pmabench.plotting.chart import COLUMN, Array, Chart, Series, joined, stamped
+from pmabench.plotting.looks import CROSSES, INK
 from pmabench.plotting.wording import COLUMNS, Frame, Shown, clean, shown
 from pmabench.store.analyses.results import Analysis, Estimate, Trace
 

@@ -13,7 +13,7 @@ from html import escape
 import numpy as np
 
 from pmabench.model.muscle import Outline, outline
-from pmabench.plotting.chart import BLUE, BROWN, FAINT, INK, QUIET
+from pmabench.plotting.looks import BLUE, BROWN, FAINT, INK, QUIET
 from pmabench.report.cascade_record import Link, Result
 
 WIDTH = 1000.0

@@ -14,23 +14,8 @@ import numpy as np
 
 from pmabench import __version__
 from pmabench.base.quantities import show
-from pmabench.plotting.chart import (
-    BLUE,
-    BROWN,
-    FAINT,
-    INK,
-    PAGE,
-    PALETTE,
-    QUIET,
-    Array,
-    Chart,
-    Level,
-    Series,
-    inside,
-    joined,
-    small_multiples,
-    stamped,
-)
+from pmabench.plotting.chart import PAGE, Array, Chart, Level, Series, inside, joined, small_multiples, stamped
+from pmabench.plotting.looks import BLUE, BROWN, FAINT, INK, PALETTE, QUIET
 from pmabench.plotting.svg import as_file
 from pmabench.report.cascade_drawing import (
     FITTING,

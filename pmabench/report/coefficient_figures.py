@@ -15,20 +15,8 @@ from math import floor, log10, nan
 import numpy as np
 
 from pmabench.base.kind import Result
-from pmabench.plotting.chart import (
-    BROWN,
-    COLUMN,
-    DARK,
-    GAP,
-    GREEN,
-    HIGH,
-    INK,
-    PAGE,
-    PALETTE,
-    Array,
-    Chart,
-    Series,
-)
+from pmabench.plotting.chart import COLUMN, GAP, HIGH, PAGE, Array, Chart, Series
+from pmabench.plotting.looks import BROWN, DARK, GREEN, INK, PALETTE
 from pmabench.plotting.pictures import Picture, of_charts
 from pmabench.plotting.wording import (
     POINTS,

@@ -11,7 +11,8 @@ import numpy as np
 
 from pmabench.base.kind import load
 from pmabench.kinds import registry
-from pmabench.plotting.chart import PAGE, PALETTE, Array, Chart, Series, small_multiples
+from pmabench.plotting.chart import PAGE, Array, Chart, Series, small_multiples
+from pmabench.plotting.looks import PALETTE
 from pmabench.plotting.pictures import Picture, column, drawable, has, label, numbers, of_charts, panel, spread
 from pmabench.plotting.wording import COLUMNS, clean, shown
 from pmabench.report import coefficient_figures

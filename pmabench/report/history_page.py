@@ -9,8 +9,9 @@ import numpy as np
 
 from pmabench.analysis.verdict.life import Past, References, Series, chosen
 from pmabench.base.quantities import in_words
-from pmabench.plotting.chart import BLUE, FAINT, FAULT, PAGE, Chart, Level
+from pmabench.plotting.chart import PAGE, Chart, Level
 from pmabench.plotting.chart import Series as Drawn
+from pmabench.plotting.looks import BLUE, FAINT, FAULT
 from pmabench.plotting.pictures import LARGEST, Picture, of_charts
 from pmabench.plotting.wording import Frame, clean, point_text, rounded, shown, symbol_text
 from pmabench.report.words import kind_title

@@ -6,10 +6,6 @@ import numpy as np
 import pytest
 
 from pmabench.plotting.chart import (
-    BLUE,
-    CROSSES,
-    MARKS,
-    SHAPES,
     STATIC,
     Chart,
     Level,
@@ -22,6 +18,7 @@ from pmabench.plotting.chart import (
     pieces,
     small_multiples,
 )
+from pmabench.plotting.looks import BLUE, CROSSES, MARKS, SHAPES
 from tests.report.test_svg import places
 
 T = np.linspace(0, 10, 700)

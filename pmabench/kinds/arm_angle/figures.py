@@ -19,7 +19,8 @@ from pmabench.base.quantities import show
 from pmabench.kinds.arm_angle.stairs import Loaded
 from pmabench.kinds.arm_angle.stairs import measure as stair_of
 from pmabench.model.library import MODELS
-from pmabench.plotting.chart import GAP, INK, PAGE, PALETTE, QUIET, Chart, Level, Series
+from pmabench.plotting.chart import GAP, PAGE, Chart, Level, Series
+from pmabench.plotting.looks import INK, PALETTE, QUIET
 from pmabench.plotting.pictures import (
     Panel,
     Picture,

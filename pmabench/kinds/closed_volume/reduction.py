@@ -22,7 +22,8 @@ from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.kinds.closed_volume import RESULTS
 from pmabench.kinds.closed_volume.stroke import Gas, Stroke, fit_volume, measure, moved_by, spreads_of, volume_at
-from pmabench.plotting.chart import PALETTE, Chart, Series
+from pmabench.plotting.chart import Chart, Series
+from pmabench.plotting.looks import PALETTE
 from pmabench.plotting.pictures import Picture, column, has, how_many, numbers, of_charts, spread, unit_of
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace, withhold
 from pmabench.store.records import Array, RunData, TrialData

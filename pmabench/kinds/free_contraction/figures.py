@@ -12,7 +12,8 @@ from pmabench.analysis.model_fit import ModelFit
 from pmabench.base.quantities import show
 from pmabench.kinds.free_contraction.points import CLEAR, Point, curve_of
 from pmabench.model.library import MODELS
-from pmabench.plotting.chart import BLUE, BROWN, INK, Chart, Series
+from pmabench.plotting.chart import Chart, Series
+from pmabench.plotting.looks import BLUE, BROWN, INK
 from pmabench.plotting.pictures import Picture, has, label, numbers, of_charts, panel, published
 from pmabench.store.analyses.results import Analysis, Finding, Trace
 from pmabench.store.records import Array

@@ -14,7 +14,8 @@ from pmabench.analysis.shared.samples import NotUsable
 from pmabench.analysis.shared.trials import grouped
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.plotting import panels as drawn
-from pmabench.plotting.chart import BROWN, INK, Chart, Series
+from pmabench.plotting.chart import Chart, Series
+from pmabench.plotting.looks import BROWN, INK
 from pmabench.plotting.pictures import (
     Picture,
     has,

@@ -13,7 +13,8 @@ from pmabench.base.quantities import show
 from pmabench.kinds.isometric_pressurisation.braid import ALPHAS, NAMES, Section
 from pmabench.kinds.isometric_pressurisation.curve import REST, Cell, pulling
 from pmabench.kinds.isometric_pressurisation.sections import Across
-from pmabench.plotting.chart import BLUE, Chart, Series
+from pmabench.plotting.chart import Chart, Series
+from pmabench.plotting.looks import BLUE
 from pmabench.plotting.pictures import Picture, column, has, numbers, of_charts, unit_of
 from pmabench.plotting.wording import shown
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Trace

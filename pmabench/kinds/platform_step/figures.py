@@ -12,7 +12,8 @@ from pmabench.analysis.shared.samples import NotUsable
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.kinds.platform_step import MUSCLES
 from pmabench.kinds.platform_step.reduction import course_of
-from pmabench.plotting.chart import BLUE, BROWN, INK, PAGE, PALETTE, Chart, Series, small_multiples
+from pmabench.plotting.chart import PAGE, Chart, Series, small_multiples
+from pmabench.plotting.looks import BLUE, BROWN, INK, PALETTE
 from pmabench.plotting.pictures import Picture, has, head, how_many, label, numbers, of_charts, panel, spread
 from pmabench.store.analyses.results import Analysis, Trace
 from pmabench.store.records import RunData, TrialData

@@ -14,17 +14,8 @@ from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.kinds.positioning.paths import Tracked
 from pmabench.kinds.positioning.reduction import measured
-from pmabench.plotting.chart import (
-    BROWN,
-    FAINT,
-    INK,
-    PAGE,
-    QUIET,
-    Chart,
-    Level,
-    Series,
-    small_multiples,
-)  # fmt: skip
+from pmabench.plotting.chart import PAGE, Chart, Level, Series, small_multiples
+from pmabench.plotting.looks import BROWN, FAINT, INK, QUIET
 from pmabench.plotting.motion import overlays
 from pmabench.plotting.pictures import Picture, has, head, how_many, label, numbers, of_charts, panel, spread, unit_of
 from pmabench.store.analyses.results import Analysis, Trace

@@ -26,7 +26,8 @@ from pmabench.analysis.shared.trials import grouped, measured_trials
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.kinds.relaxation import RESULTS
-from pmabench.plotting.chart import PALETTE, Chart, Series
+from pmabench.plotting.chart import Chart, Series
+from pmabench.plotting.looks import PALETTE
 from pmabench.plotting.pictures import Picture, column, has, head, how_many, numbers, of_charts, spread, unit_of
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, Command, RunData, TrialData

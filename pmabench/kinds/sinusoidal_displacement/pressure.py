@@ -25,7 +25,8 @@ from pmabench.base.quantities import show
 from pmabench.kinds.sinusoidal_displacement.fit import Member, Muscle, of_cycles
 from pmabench.kinds.sinusoidal_displacement.form import rows_of_cycles
 from pmabench.plotting import pictures
-from pmabench.plotting.chart import BLUE, BROWN, FAINT, INK, Chart, Level, Series, closed, small_multiples
+from pmabench.plotting.chart import Chart, Level, Series, closed, small_multiples
+from pmabench.plotting.looks import BLUE, BROWN, FAINT, INK
 from pmabench.plotting.wording import shown
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array

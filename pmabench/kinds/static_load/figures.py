@@ -15,7 +15,8 @@ from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.kinds.static_load.points import PHASES, Points, pressure_of, pressures_of
 from pmabench.plotting import pictures
-from pmabench.plotting.chart import BLUE, BROWN, GREEN, INK, QUIET, Chart, Level, Series, small_multiples
+from pmabench.plotting.chart import Chart, Level, Series, small_multiples
+from pmabench.plotting.looks import BLUE, BROWN, GREEN, INK, QUIET
 from pmabench.plotting.wording import clean, shown
 from pmabench.store.analyses.results import Analysis, Finding, Trace
 from pmabench.store.records import RunData, TrialData

@@ -15,7 +15,8 @@ from math import isfinite
 
 import numpy as np
 
-from pmabench.plotting.chart import BLUE, BROWN, FAINT, QUIET, Array, Chart, Series, with_common_sides
+from pmabench.plotting.chart import Array, Chart, Series, with_common_sides
+from pmabench.plotting.looks import BLUE, BROWN, FAINT, QUIET
 from pmabench.plotting.pictures import Picture, column, has, head, label, numbers, of_charts, spread, unit_of
 from pmabench.plotting.wording import Frame, half_width, rounded
 from pmabench.report.document.tables import is_number, mappings

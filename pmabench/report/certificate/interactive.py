@@ -16,7 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.plotting.chart import SHAPES, Array, Chart, Series, level_names, limits, rows_needed
+from pmabench.plotting.chart import Array, Chart, Series, level_names, limits, rows_needed
+from pmabench.plotting.looks import SHAPES
 from pmabench.plotting.pictures import Picture
 from pmabench.plotting.svg import symbol_parts
 
