@@ -35,6 +35,7 @@ ROW = 11.0
 RADIUS = 2.3
 GAP = 12.0
 """Gap between charts in a row [pt]."""
+DASHES = ' stroke-dasharray="3.5 2.5"'
 INNER = 4.0
 """Room left of axes whose labels are at the chart on their left [pt]."""
 NEAR = 0.15
@@ -105,8 +106,6 @@ class Chart:
     alt: str = ""
     tested: Array | None = None
     """Corners of the tested zone, shape (n, 2); the rest is grey."""
-    words: str = ""
-    """A remark in the upper right corner."""
     zero: bool = False
     """Whether the y axis begins at 0."""
     y_ticks: int = 5
@@ -243,16 +242,9 @@ def inside(chart: Chart) -> tuple[float, float, float, float]:
     return frame.left, frame.right, frame.top, frame.bottom
 
 
-def with_common_sides(charts: Sequence[Chart]) -> tuple[Chart, ...]:
-    """Charts one below the other, with axes aligned to the narrowest."""
-    left, right = _sides(charts)
-    return tuple(replace(chart, sides=(left, right)) for chart in charts)
-
-
 def _sides(charts: Sequence[Chart]) -> tuple[float, float]:
     frames = [_Frame(chart) for chart in charts]
-    rights = (frame.chart.width - frame.right for frame in frames)
-    return max((frame.left - frame.gutter for frame in frames), default=0.0), max(rights, default=0.0)
+    return max(frame.left - frame.gutter for frame in frames), max(f.chart.width - f.right for f in frames)
 
 
 def small_multiples(
@@ -336,18 +328,15 @@ def _whole(width: float, height: float, alt: str, stamp: str, inner: str) -> str
 def _drawn(chart: Chart) -> str:
     """All SVG elements of a chart."""
     frame = _Frame(chart)
-    body = [*_ground(frame), *_spans(frame), *_axes(frame), *_levels(frame)]
+    body = [*_ground(frame), *_axes(frame), *_levels(frame)]
     body += [band for series in chart.shown for band in _band(frame, series)]
     for series in chart.shown:
         body += _marks(frame, series) if series.mark else _line(frame, series)
     body += [] if chart.legend else _names(frame)
     for level, x, y, right, _ in level_names(chart):
         body.append(_text(x, y, level.name, TICK, level.color, "start" if right else "end", halo=True))
-    corner = [t for t in (chart.words, chart.stamp) if t]
-    for n, text in enumerate(corner):
-        color = BROWN if text == chart.stamp else QUIET
-        body.append(_text(chart.width - 1, frame.head + 8 + 9 * n, text, 7, color, "end", bold=text == chart.stamp))
-    return "\n".join(body)
+    body.append(_text(chart.width - 1, frame.head + 8, chart.stamp, 7, BROWN, "end", bold=True) if chart.stamp else "")
+    return "\n".join(filter(None, body))
 
 
 def _ground(frame: _Frame) -> list[str]:
@@ -393,30 +382,20 @@ def _axes(frame: _Frame) -> list[str]:
     return out
 
 
-def _spans(frame: _Frame) -> list[str]:
-    """Shaded spans."""
+def _levels(frame: _Frame) -> list[str]:
+    """Lines across the axes, and shaded spans."""
     out = []
     for level in frame.chart.levels:
-        if level.to is None:
-            continue
         x0, x1, y0, y1 = inside(frame.chart)
         if level.upright:
             x0, x1 = sorted(map(frame.across, level.ends))
         else:
             y0, y1 = sorted(map(frame.down, level.ends))
-        place = f'x="{_n(x0)}" y="{_n(y0)}" width="{_n(x1 - x0)}" height="{_n(y1 - y0)}"'
-        out.append(f'<rect {place} fill="{level.color}" fill-opacity="0.13"/>')
-    return out
-
-
-def _levels(frame: _Frame) -> list[str]:
-    """Lines across the axes."""
-    out = []
-    for level in (one for one in frame.chart.levels if one.to is None):
-        dash = ' stroke-dasharray="3.5 2.5"' if level.dashed else ""
-        x, y = frame.across(level.at), frame.down(level.at)
-        ends = (x, frame.top, x, frame.bottom) if level.upright else (frame.left, y, frame.right, y)
-        out.append(_rule(*ends, level.color, 0.9, dash))
+        if level.to is None:
+            out.append(_rule(x0, y0, x1, y1, level.color, 0.9, DASHES if level.dashed else ""))
+        else:
+            place = f'x="{_n(x0)}" y="{_n(y0)}" width="{_n(x1 - x0)}" height="{_n(y1 - y0)}"'
+            out.append(f'<rect {place} fill="{level.color}" fill-opacity="0.13"/>')
     return out
 
 
@@ -438,7 +417,8 @@ def level_names(chart: Chart) -> list[tuple[Level, float, float, bool, bool]]:
         boxes = []
         for n, (x, y) in enumerate(places):
             first = x - wide if n % 2 == 0 else x
-            hidden = sum(_covered(points, first, y, wide) for points in taken)
+            box = [[first - 2], [y - 7.5]], [[first + wide + 2], [y + 2]]
+            hidden = sum(int(((points > box[0]) & (points < box[1])).all(axis=0).sum()) for points in taken)
             outside = first < frame.left or first + wide > frame.right or y > frame.bottom or y < frame.top + 5
             boxes.append((hidden + 1e4 * outside, n, x, y, first))
         _, n, x, y, first = min(boxes)
@@ -446,12 +426,6 @@ def level_names(chart: Chart) -> list[tuple[Level, float, float, bool, bool]]:
         taken.append(np.array([across.ravel(), down.ravel()]))
         found.append((level, x, y, n % 2 > 0, n < 2))
     return found
-
-
-def _covered(points: Array, x: float, y: float, wide: float) -> int:
-    """How many points of the drawing a text would cover."""
-    across, down = points
-    return int(((across > x - 2) & (across < x + wide + 2) & (down > y - 7.5) & (down < y + 2)).sum())
 
 
 def _band(frame: _Frame, series: Series) -> list[str]:
@@ -468,9 +442,8 @@ def _band(frame: _Frame, series: Series) -> list[str]:
 
 def _line(frame: _Frame, series: Series) -> list[str]:
     parts = [_path(*piece) for piece in pieces(frame.chart, series)]
-    dash = ' stroke-dasharray="3.5 2.5"' if series.dashed else ""
     look = f'fill="none" stroke="{series.color}" stroke-width="{_n(series.width)}" stroke-linejoin="round"'
-    return [f'<path d="{"".join(parts)}" {look}{dash}/>'] if parts and series.width else []
+    return [f'<path d="{"".join(parts)}" {look}{DASHES if series.dashed else ""}/>'] if parts and series.width else []
 
 
 def pieces(chart: Chart, series: Series, most: int = STATIC, near: float = NEAR) -> list[tuple[Array, Array]]:
@@ -581,8 +554,8 @@ def _strip(rows: Sequence[Sequence[Chart]]) -> tuple[float, float, str]:
         if series.mark:
             out += _shapes(np.array([across + 5]), np.array([y - 2.8]), series)
         else:
-            dash = ' stroke-dasharray="3.5 2"' if series.dashed else ""
-            out.append(_rule(across, y - 2.8, across + 10, y - 2.8, series.color, series.width, dash))
+            look = series.color, series.width, DASHES if series.dashed else ""
+            out.append(_rule(across, y - 2.8, across + 10, y - 2.8, *look))
         out.append(_text(across + 13, y, series.label, NAME, INK, "start"))
         across += wide
     return width, y + 4.0 if out else 0.0, "\n".join(out)

@@ -12,7 +12,7 @@ from math import pi
 
 import numpy as np
 
-from pmabench.plotting.chart import GAP, PAGE, Array, Chart, Level, Series, closed, small_multiples, with_common_sides
+from pmabench.plotting.chart import GAP, PAGE, Array, Chart, Level, Series, closed, small_multiples
 from pmabench.plotting.looks import BLUE, BROWN, FAINT, INK, MARKS, PALETTE, QUIET
 from pmabench.plotting.pictures import (
     Panel,
@@ -276,8 +276,11 @@ def oscillations(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
         (_swings(left, labels) if left else None, _growth(right, labels) if right else None) for left, right in rows
     ]
     title = "Sustained oscillation and ultimate gain" + (f", {_setpoint(named[0][1])}" if len(rows) == 1 else "")
-    columns = [iter(with_common_sides([one for one in column if one])) for column in zip(*charts, strict=True)]
-    found = [[next(of) for one, of in zip(row, columns, strict=True) if one] for row in charts if any(row)]
+    columns = []
+    for column, width in zip(zip(*charts, strict=True), (WIDER, PAGE - GAP - WIDER), strict=True):
+        known = [one for one in column if one]
+        columns.append(iter(small_multiples(known, 1, common="", width=width) if known else []))
+    found = [[next(of)[0] for one, of in zip(row, columns, strict=True) if one] for row in charts if any(row)]
     return [of_charts(found, title, caption, alt, numbers(named), simulated=analysis.simulated)]
 
 
@@ -285,7 +288,7 @@ def _swings(swing: Panel, labels: dict[str, str]) -> Chart:
     """Oscillation over time at the gains around the ultimate one."""
     line = Series("", swing.columns["t"], swing.columns["measured"], BLUE, width=0.9)
     levels = tuple(Level(value) for name, value in swing.marks.items() if name == "setpoint")
-    return Chart(labels["t"], labels["measured"], (line,), WIDER, title=swing.title, levels=levels)
+    return Chart(labels["t"], labels["measured"], (line,), title=swing.title, levels=levels)
 
 
 def _growth(growth: Panel, labels: dict[str, str]) -> Chart:
@@ -301,9 +304,7 @@ def _growth(growth: Panel, labels: dict[str, str]) -> Chart:
         series.append(Series("", gain[near], growth.columns["fit"][near], BROWN))
     levels = [Level(0.0, dashed=False)]
     levels += [Level(growth.marks["K_u"], growth.title, BROWN, upright=True)] if "K_u" in growth.marks else []
-    return Chart(
-        labels["gain"], labels["log_ratio"], tuple(series), PAGE - GAP - WIDER, title="Growth", levels=tuple(levels)
-    )
+    return Chart(labels["gain"], labels["log_ratio"], tuple(series), title="Growth", levels=tuple(levels))
 
 
 PANELS = 9

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pmabench.plotting import chart
+from pmabench.plotting import chart, looks
 from pmabench.plotting.chart import Chart, Series
 from pmabench.report.certificate import quality
 from pmabench.report.certificate.force_chart import READABLE, blue
@@ -69,13 +69,13 @@ def test_the_measures_of_colour_are_right():
     assert lab("#ff0000", "normal") == pytest.approx([53.24, 80.09, 67.20], abs=0.1)
 
 
-@pytest.mark.parametrize("pair", list(itertools.combinations(chart.PALETTE, 2)))
+@pytest.mark.parametrize("pair", list(itertools.combinations(looks.PALETTE, 2)))
 def test_two_series_are_distinguished_by_everybody(pair):
     for sight in SIGHT:
         assert math.dist(*(lab(color, sight) for color in pair)) >= 30
 
 
-@pytest.mark.parametrize("color", [*chart.PALETTE])
+@pytest.mark.parametrize("color", [*looks.PALETTE])
 def test_series_are_seen_on_paper(color):
     assert contrast(color) >= 2.99
 

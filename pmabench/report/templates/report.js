@@ -194,7 +194,6 @@
     write(ctx, chart.title, chart.yNamed ? 1 : box.left, 8 * p, 12 * p, INK, true);
     if (chart.yNamed) write(ctx, chart.y, 1, head, 12 * p, INK, false);
     write(ctx, chart.stamp, edge, head, 10.5 * p, STAMP, true, true);
-    if (chart.words) write(ctx, chart.words, edge - (chart.stamp ? 86 * p : 0), head, 11 * p, QUIET, false, true);
   }
 
   function at(s, x) {  // [x, y, half] of a line at x, or of the nearest dot
