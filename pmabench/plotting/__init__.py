@@ -4,6 +4,6 @@
 - `looks`: colours, shapes of marks; `svg`: symbols, paths and files of a drawing
 - `pictures`: charts with title, caption, alternative text and their numbers (a `Frame` of text)
 - `web`: files for pages (uPlot, the font Inter) with their licences; `unknown-sign.ttf`: a box for what no font has
-- figures that several kinds of test share: `panels`, `motion`
+- figures that several kinds of test share: `motion`
 - words, display units, numbers and tables of text: `wording`
 """

@@ -8,6 +8,7 @@ The figure: bending angle over pressure at each load, paper 2's curve, and the g
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,19 +22,7 @@ from pmabench.kinds.arm_angle.stairs import measure as stair_of
 from pmabench.model.library import MODELS
 from pmabench.plotting.chart import GAP, PAGE, Chart, Level, Series
 from pmabench.plotting.looks import INK, PALETTE, QUIET
-from pmabench.plotting.pictures import (
-    Panel,
-    Picture,
-    column,
-    has,
-    how_many,
-    label,
-    numbers,
-    of_charts,
-    panel,
-    published,
-    spread,
-)
+from pmabench.plotting.pictures import Picture, column, crosses, curve, has, how_many, label, numbers, of_charts, spread
 from pmabench.store.analyses.results import Analysis, Finding, Trace
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -214,10 +203,8 @@ def angles(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     if not chosen:
         return []
     titles = [show(t.marks["tip_mass"], "mass", 4) if "tip_mass" in t.marks else t.name for t in chosen]
-    held = [{name: name for name in NAMES if name in t.columns and has(t, name)} for t in chosen]
-    panels = list(map(panel, chosen, held, titles))
     labels = label(chosen[0], "pressure"), label(chosen[0], "angle")
-    kinds = {name for one in panels for name in one.columns}
+    kinds = {name for t in chosen for name in NAMES if has(t, name)}
     caption = "Angle of the arm's end at rest over the pressure of the bending muscle, at each load."
     if "above" in kinds:
         caption += " △ reached from below, ▽ from above; right: from above less from below."
@@ -225,41 +212,39 @@ def angles(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
         caption += " Lines: α = a + b / [1 + (p/c)^d] through the way up (paper 2, second eqs. 10)."
     if "model" in kinds:
         caption += " Dashed: the same with paper 2's 20 numbers."
-    if any("table" in one.marks for one in panels):
+    if any("table" in t.marks for t in chosen):
         caption += " Short lines at the right end: the largest angles of its Table 1."
     y = np.concatenate([column(t, "angle")[np.isfinite(column(t, "angle"))] for t in chosen])
-    alt = f"{labels[1]} over {labels[0]} at {len(panels)} loads, {y.min():.4g} to {y.max():.4g}."
+    alt = f"{labels[1]} over {labels[0]} at {len(chosen)} loads, {y.min():.4g} to {y.max():.4g}."
     table = numbers(list(zip(titles, chosen, strict=True)))
-    charts = _charts(panels, labels)
+    charts = _charts(chosen, titles, labels)
     title = "Bending angle of the arm"
     return [of_charts([charts], title, caption + how_many(chosen, able), alt, table, simulated=analysis.simulated)]
 
 
-def _charts(panels: Sequence[Panel], labels: tuple[str, str]) -> list[Chart]:
+def _charts(traces: Sequence[Trace], titles: Sequence[str], labels: tuple[str, str]) -> list[Chart]:
     """Left the angles; right the gap between both branches, if there are two."""
     lines, marks, gaps = [], [], []
-    for i, one in enumerate(panels):
+    for i, (trace, title) in enumerate(zip(traces, titles, strict=True)):
         color = PALETTE[i % len(PALETTE)]
-        known = {name: np.isfinite(values) for name, values in one.columns.items()}
-        drawn = {name: (one.columns["pressure"][known[name]], one.columns[name][known[name]]) for name in known}
         lines += [
-            Series("", *drawn[name], color, width=0.9, dashed=name == "model", hidden=True)
+            curve(trace, "pressure", name, "", color, width=0.9, dashed=name == "model", hidden=True)
             for name in ("fit", "model")
-            if name in drawn
+            if has(trace, name)
         ]
         marks += [
-            Series(word, *drawn[name], color, mark, hollow=True, said=f"{one.title} {name}")
-            for name, mark, word in (("below", "^", one.title), ("above", "v", ""))
-            if name in drawn
+            curve(trace, "pressure", name, word, color, mark, hollow=True, said=f"{title} {name}")
+            for name, mark, word in (("below", "^", title), ("above", "v", ""))
+            if has(trace, name)
         ]
-        if "table" in one.marks:
-            ends = np.array([0.985, 1.015]) * np.nanmax(one.columns["pressure"])
-            marks.append(Series("", ends, np.degrees(np.full(2, one.marks["table"])), INK, hidden=True))
-        if "above" in drawn:
-            P, above = drawn["above"]
-            gap = above - one.columns["below"][known["above"]]
-            gaps += [Series("", P, gap, color, width=0.7, hidden=True), Series("", P, gap, color, "o", said=one.title)]
-    marks += [one for theirs in published(panels) for one in theirs]
+        if "table" in trace.marks:
+            ends = np.array([0.985, 1.015]) * np.nanmax(column(trace, "pressure"))
+            marks.append(Series("", ends, np.degrees(np.full(2, trace.marks["table"])), INK, hidden=True))
+        if has(trace, "above"):
+            above = curve(trace, "pressure", "above", "", color, "o", said=title)
+            gap = replace(above, y=above.y - column(trace, "below")[: len(above.y)])
+            gaps += [replace(gap, mark="", width=0.7, hidden=True), gap]
+    marks += [one for theirs in crosses(traces, "pressure", "angle") for one in theirs]
     share = 0.6 if gaps else 1.0
     angle = Chart(*labels, (*lines, *marks), share * PAGE, HEIGHT, legend=True)
     if not gaps:
