@@ -5,6 +5,6 @@
 - `pictures`: charts with title, caption, alternative text and their numbers (a `Frame` of text)
 - `web`: files for pages (uPlot; Inter 3.19, cut to Latin, Greek and signs, for the PDF also Cyrillic and italics) with
   their licences, and `unknown-sign.ttf`, a box for what no font has
-- figures that several kinds of test share: `panels`, `motion`
+- figures that several kinds of test share: `motion`
 - words, display units, numbers and tables of text: `wording`
 """

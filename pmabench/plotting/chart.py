@@ -21,7 +21,7 @@ from math import ceil, floor, isfinite, log10
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.plotting.looks import BROWN, CROSSES, GRID, INK, QUIET, SHAPES, UNTESTED
+from pmabench.plotting.looks import BROWN, CROSSES, FAINT, GRID, INK, QUIET, SHAPES, UNTESTED
 from pmabench.plotting.svg import marked, shortened
 
 Array = NDArray[np.float64]
@@ -94,13 +94,16 @@ class Level:
         return np.array([self.at, self.at if self.to is None else self.to])
 
 
+ZERO = Level(0.0, color=FAINT, dashed=False)
+
+
 @dataclass(frozen=True)
 class Chart:
     """Axes with their series; sizes in points."""
 
     x_label: str
     y_label: str
-    series: tuple[Series, ...]
+    series: Sequence[Series]
     width: float = COLUMN
     height: float = HIGH
     alt: str = ""
@@ -136,9 +139,9 @@ class Chart:
         return [s for s in self.series if not s.method]
 
 
-def closed(values: Array) -> Array:
-    """The first value again at the end: a loop."""
-    return np.append(values, values[:1])
+def closed(series: Series) -> Series:
+    """The line with its first point again at the end: a loop."""
+    return replace(series, x=np.append(series.x, series.x[:1]), y=np.append(series.y, series.y[:1]))
 
 
 def ticks(low: float, high: float, most: int) -> list[float]:
@@ -508,6 +511,8 @@ def _marks(frame: _Frame, series: Series) -> list[str]:
     """Marks of a series with its error bars."""
     out = []
     known = np.isfinite(series.x) & np.isfinite(series.y) & (series.y >= frame.y0) & (series.y <= frame.y1)
+    if series.mark == ".":
+        known = known & (np.arange(len(known)) % max(1, -(-len(known) // (STATIC // 2))) == 0)
     x, y = series.x[known], series.y[known]
     halves = np.full(len(x), np.nan) if series.half is None else series.half[known]
     across, down = frame.at(x, y)

@@ -5,10 +5,10 @@ Helpers that figures share: display units of traces, thinning, data tables. For 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +25,6 @@ LARGEST = 1e30
 """Numbers from this size cannot be measurements and would break a drawing."""
 NOTHING = 1e-9
 """Fraction of a column's largest number below which another one is written as 0."""
-DRAWN = 700
-"""Most points of a drawn line."""
 
 
 @dataclass(frozen=True)
@@ -131,36 +129,25 @@ def label(trace: Trace, name: str) -> str:
     return unit_of(trace, name).label(COLUMNS.get(name) or clean(name, 40))
 
 
-def panel(trace: Trace, names: Mapping[str, str], title: str) -> Panel:
-    """A panel with renamed columns: `names` from the drawing's name to the trace's; evenly thinned."""
-    columns = {new: column(trace, old) for new, old in names.items()}
-    stride = max(1, -(-len(next(iter(columns.values()))) // DRAWN))
-    first, *others = names.values()
-    published = tuple(
-        (clean(b.label, 60), b.columns[first] / unit_of(trace, first).scale, b.columns[y] / unit_of(trace, y).scale)
-        for b in trace.published
-        for y in others
-        if first in b.columns and y in b.columns
-    )
-    return Panel(title, {new: values[::stride] for new, values in columns.items()}, dict(trace.marks), published)
+def curve(trace: Trace, x: str, y: str, name: str, color: str, mark: str = "", **looks: Any) -> Series:
+    """Column y over column x in display units, as a line or as marks, from the first to the last row that has both."""
+    across, up = column(trace, x), column(trace, y)
+    known = np.flatnonzero(np.isfinite(across + up))
+    rows = slice(known[0], known[-1] + 1) if len(known) else slice(0)
+    return Series(name, across[rows], up[rows], color, mark, **looks)
 
 
-@dataclass(frozen=True)
-class Panel:
-    """What a chart shows: title and named columns."""
-
-    title: str
-    columns: dict[str, Array]
-    marks: dict[str, float]
-    published: tuple[tuple[str, Array, Array], ...] = ()
-    """Published points: label, x, y."""
-
-
-def published(panels: Sequence[Panel]) -> list[list[Series]]:
-    """Published points of each panel, each table with a cross of its own."""
-    names = list(dict.fromkeys(name for one in panels for name, *_ in one.published))
-    marks = {name: CROSSES[n % len(CROSSES)] for n, name in enumerate(names)}
-    return [[Series(name, x, y, INK, marks[name]) for name, x, y in one.published] for one in panels]
+def crosses(traces: Sequence[Trace], x: str, y: str) -> list[list[Series]]:
+    """Published points of y over x of each trace, each table with a cross of its own."""
+    found = [[(clean(b.label, 60), b.columns) for b in t.published if {x, y} <= set(b.columns)] for t in traces]
+    names = list(dict.fromkeys(name for theirs in found for name, _ in theirs))
+    return [
+        [
+            Series(name, of[x] / unit_of(t, x).scale, of[y] / unit_of(t, y).scale, INK, CROSSES[names.index(name) % 3])
+            for name, of in theirs
+        ]
+        for t, theirs in zip(traces, found, strict=True)
+    ]
 
 
 def numbers(traces: Sequence[tuple[str, Trace]], wanted: Sequence[str] = ()) -> Frame:

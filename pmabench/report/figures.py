@@ -11,16 +11,16 @@ import numpy as np
 
 from pmabench.base.kind import load
 from pmabench.kinds import registry
-from pmabench.plotting.chart import PAGE, Array, Chart, Series, small_multiples
+from pmabench.plotting.chart import PAGE, Chart, Series, small_multiples
 from pmabench.plotting.looks import PALETTE
-from pmabench.plotting.pictures import Picture, column, drawable, has, label, numbers, of_charts, panel, spread
+from pmabench.plotting.pictures import Picture, column, curve, drawable, has, label, numbers, of_charts, spread
 from pmabench.plotting.wording import COLUMNS, clean, shown
 from pmabench.report import coefficient_figures
 from pmabench.report.certificate.force_chart import FIGURE
 from pmabench.store.analyses.results import Analysis, Trace
 
-GENERIC = 6
-"""Most figures of traces that no kind of test draws."""
+GENERIC, FEW = 6, 30
+"""Most figures of traces that no kind of test draws, and points up to which they may be marks."""
 
 
 def front_pictures(
@@ -91,9 +91,7 @@ def _generic(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
         if len(names) < 2:
             continue
         x, rest = names[0], names[1:9]
-        data = panel(trace, {name: name for name in names}, clean(trace.title, 90)).columns
-        columns = [(_word(name), _axis(trace, name, rest), data[name]) for name in rest]
-        rows = small_multiples([_lines(data[x], label(trace, x), columns)], 1, width=PAGE)
+        rows = small_multiples([_lines(trace, x, rest)], 1, width=PAGE)
         title = clean(trace.title, 120) or clean(trace.name, 80)
         ends = column(trace, x)[np.isfinite(column(trace, x))]
         over = f"over {label(trace, x)}, from {ends.min():.4g} to {ends.max():.4g}"
@@ -102,15 +100,15 @@ def _generic(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
     return found
 
 
-def _lines(x: Array, x_label: str, columns: Sequence[tuple[str, str, Array]]) -> list[Chart]:
-    """Columns (label, axis label, values) over the first one, a chart for each axis label; few points as marks."""
-    axes = [axis for _, axis, _ in columns]
-    mark = "o" if len(x) <= 30 and not np.all(np.diff(x) > 0) else ""
+def _lines(trace: Trace, x: str, names: Sequence[str]) -> list[Chart]:
+    """Columns over another one, a chart for each axis label; few points as marks."""
+    at, axes = column(trace, x), [_axis(trace, name, names) for name in names]
+    mark = "o" if len(at) <= FEW and not np.all(np.diff(at) > 0) else ""
     series: dict[str, list[Series]] = {}
-    for n, (name, axis, values) in enumerate(columns):
-        label, color = name if axes.count(axis) > 1 else "", PALETTE[n % len(PALETTE)]
-        series.setdefault(axis, []).append(Series(label, x, values, color, mark, dashed=n % 2 > 0 and bool(label)))
-    return [Chart(x_label, axis, tuple(mine), height=128.0, legend=True) for axis, mine in series.items()]
+    for n, (name, axis) in enumerate(zip(names, axes, strict=True)):
+        said, color = _word(name) if axes.count(axis) > 1 else "", PALETTE[n % len(PALETTE)]
+        series.setdefault(axis, []).append(curve(trace, x, name, said, color, mark, dashed=n % 2 > 0 and bool(said)))
+    return [Chart(label(trace, x), axis, tuple(mine), height=128.0, legend=True) for axis, mine in series.items()]
 
 
 def _word(name: str) -> str:

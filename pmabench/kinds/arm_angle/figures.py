@@ -21,19 +21,7 @@ from pmabench.kinds.arm_angle.stairs import measure as stair_of
 from pmabench.model.library import MODELS
 from pmabench.plotting.chart import GAP, PAGE, Chart, Level, Series
 from pmabench.plotting.looks import INK, PALETTE, QUIET
-from pmabench.plotting.pictures import (
-    Panel,
-    Picture,
-    column,
-    has,
-    how_many,
-    label,
-    numbers,
-    of_charts,
-    panel,
-    published,
-    spread,
-)
+from pmabench.plotting.pictures import Picture, column, crosses, curve, has, how_many, label, numbers, of_charts, spread
 from pmabench.store.analyses.results import Analysis, Finding, Trace
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -214,10 +202,8 @@ def angles(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     if not chosen:
         return []
     titles = [show(t.marks["tip_mass"], "mass", 4) if "tip_mass" in t.marks else t.name for t in chosen]
-    held = [{name: name for name in NAMES if name in t.columns and has(t, name)} for t in chosen]
-    panels = list(map(panel, chosen, held, titles))
     labels = label(chosen[0], "pressure"), label(chosen[0], "angle")
-    kinds = {name for one in panels for name in one.columns}
+    kinds = {name for t in chosen for name in NAMES if has(t, name)}
     caption = "Angle of the arm's end at rest over the pressure of the bending muscle, at each load."
     if "above" in kinds:
         caption += " △ reached from below, ▽ from above; right: from above less from below."
@@ -225,43 +211,44 @@ def angles(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
         caption += " Lines: α = a + b / [1 + (p/c)^d] through the way up (paper 2, second eqs. 10)."
     if "model" in kinds:
         caption += " Dashed: the same with paper 2's 20 numbers."
-    if any("table" in one.marks for one in panels):
+    if any("table" in t.marks for t in chosen):
         caption += " Short lines at the right end: the largest angles of its Table 1."
     y = np.concatenate([column(t, "angle")[np.isfinite(column(t, "angle"))] for t in chosen])
-    alt = f"{labels[1]} over {labels[0]} at {len(panels)} loads, {y.min():.4g} to {y.max():.4g}."
+    alt = f"{labels[1]} over {labels[0]} at {len(chosen)} loads, {y.min():.4g} to {y.max():.4g}."
     table = numbers(list(zip(titles, chosen, strict=True)))
-    charts = _charts(panels, labels)
+    charts = _charts(chosen, titles, labels)
     title = "Bending angle of the arm"
     return [of_charts([charts], title, caption + how_many(chosen, able), alt, table, simulated=analysis.simulated)]
 
 
-def _charts(panels: Sequence[Panel], labels: tuple[str, str]) -> list[Chart]:
+def _charts(traces: Sequence[Trace], titles: Sequence[str], labels: tuple[str, str]) -> list[Chart]:
     """Left the angles; right the gap between both branches, if there are two."""
     lines, marks, gaps = [], [], []
-    for i, one in enumerate(panels):
-        color, P = PALETTE[i % len(PALETTE)], one.columns["pressure"]
-        known = {name: np.isfinite(values) for name, values in one.columns.items()}
-        for name in sorted(known.keys() & {"fit", "model"}):
-            drawn = P[known[name]], one.columns[name][known[name]]
-            lines.append(Series("", *drawn, color, width=0.9, dashed=name == "model", hidden=True))
-        for name, mark, word in (("below", "^", one.title), ("above", "v", "")):
-            if name in known:
-                drawn = P[known[name]], one.columns[name][known[name]]
-                marks.append(Series(word, *drawn, color, mark, hollow=True, said=f"{one.title} {name}"))
-        if "table" in one.marks:
-            ends = np.array([0.985, 1.015]) * np.nanmax(P)
-            marks.append(Series("", ends, np.degrees(np.full(2, one.marks["table"])), INK, hidden=True))
-        if "above" in known:
-            gap = (one.columns["above"] - one.columns["below"])[known["above"]]
-            look = P[known["above"]], gap, color
-            gaps += [Series("", *look, width=0.7, hidden=True), Series("", *look, "o", said=one.title)]
-    marks += [one for theirs in published(panels) for one in theirs]
+    for i, (trace, title) in enumerate(zip(traces, titles, strict=True)):
+        color = PALETTE[i % len(PALETTE)]
+        for name in ("fit", "model"):
+            if has(trace, name):
+                dashed = name == "model"
+                lines.append(curve(trace, "pressure", name, "", color, width=0.9, dashed=dashed, hidden=True))
+        for name, mark, word in (("below", "^", title), ("above", "v", "")):
+            if has(trace, name):
+                said = f"{title} {name}"
+                marks.append(curve(trace, "pressure", name, word, color, mark, hollow=True, said=said))
+        if "table" in trace.marks:
+            ends = np.array([0.985, 1.015]) * np.nanmax(column(trace, "pressure"))
+            marks.append(Series("", ends, np.degrees(np.full(2, trace.marks["table"])), INK, hidden=True))
+        if has(trace, "below", "above"):
+            gap = column(trace, "above") - column(trace, "below")
+            known = np.isfinite(gap)
+            look = column(trace, "pressure")[known], gap[known], color
+            gaps += [Series("", *look, width=0.7, hidden=True), Series("", *look, "o", said=title)]
+    marks += [one for theirs in crosses(traces, "pressure", "angle") for one in theirs]
     share = 0.6 if gaps else 1.0
-    charts = [Chart(*labels, (*lines, *marks), share * PAGE, HEIGHT, legend=True)]
-    if gaps:
-        zero, rest = (Level(0.0, color=QUIET, dashed=False),), (1 - share) * PAGE - GAP
-        charts.append(Chart(labels[0], "above − below [deg]", tuple(gaps), rest, HEIGHT, levels=zero))
-    return charts
+    angle = Chart(*labels, (*lines, *marks), share * PAGE, HEIGHT, legend=True)
+    if not gaps:
+        return [angle]
+    zero, rest = (Level(0.0, color=QUIET, dashed=False),), (1 - share) * PAGE - GAP
+    return [angle, Chart(labels[0], "above − below [deg]", tuple(gaps), rest, HEIGHT, levels=zero)]
 
 
 def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:

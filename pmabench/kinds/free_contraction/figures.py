@@ -12,9 +12,9 @@ from pmabench.analysis.model_fit import ModelFit
 from pmabench.base.quantities import show
 from pmabench.kinds.free_contraction.points import CLEAR, Point, curve_of
 from pmabench.model.library import MODELS
-from pmabench.plotting.chart import Chart, Series
+from pmabench.plotting.chart import Chart
 from pmabench.plotting.looks import BLUE, BROWN, INK
-from pmabench.plotting.pictures import Picture, has, label, numbers, of_charts, panel, published
+from pmabench.plotting.pictures import Picture, column, crosses, curve, has, label, numbers, of_charts
 from pmabench.store.analyses.results import Analysis, Finding, Trace
 from pmabench.store.records import Array
 
@@ -144,8 +144,12 @@ def trace(points: Sequence[Point], fit: ModelFit | None, length: float, *, compa
 
 
 NAMES = ("pressure", "length", "below", "above", "fit", "model")
-MARKED = {"below": ("^", "reached from below"), "above": ("v", "reached from above"), "length": ("o", "measured")}
-LINES = {"fit": (BROWN, "sigmoid, a to e fitted"), "model": (BLUE, "paper 2's formula")}
+MARKED = {
+    "below": ("^", INK, "reached from below"),
+    "above": ("v", INK, "reached from above"),
+    "length": ("o", INK, "measured"),
+}
+LINES = {"fit": ("", BROWN, "sigmoid, a to e fitted"), "model": ("", BLUE, "paper 2's formula")}
 
 
 def lengths(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
@@ -154,27 +158,25 @@ def lengths(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
 
 
 def _lengths(trace: Trace, simulated: bool) -> Picture:
-    data = panel(trace, {name: name for name in NAMES if name == "pressure" or has(trace, name)}, "")
     labels = label(trace, "pressure"), label(trace, "length")
-    sides = "below" in data.columns and "above" in data.columns
+    sides = has(trace, "below", "above")
     more = ", at each pressure reached from 0 and from the highest pressure" if sides else ""
     caption = f"Length at rest without load: the nominal length less the contraction{more}."
-    if "fit" in data.columns:
+    if has(trace, "fit"):
         caption += " Red: L = a + b / [1 + (p/c)^d]^e − 0.009 L0 √p (paper 2, eq. 1) through the means of both."
-    if "model" in data.columns:
+    if has(trace, "model"):
         caption += (
             " Dashed: the same with a to e of paper 2 for this nominal length; its printed coefficients are rounded: "
             "compare the shape."
         )
-    known = {name: np.isfinite(values) for name, values in data.columns.items()}
-    lines = [(name, "", *LINES[name]) for name in LINES if name in known]
-    marks = [(name, MARKED[name][0], INK, MARKED[name][1]) for name in (("below", "above") if sides else ("length",))]
+    lines = [(name, *LINES[name]) for name in LINES if has(trace, name)]
+    marks = [(name, *MARKED[name]) for name in (("below", "above") if sides else ("length",))]
     series = [
-        Series(words, data.columns["pressure"][known[name]], data.columns[name][known[name]], color, mark,
-               hollow=True, dashed=name == "model")
+        curve(trace, "pressure", name, words, color, mark, hollow=True, dashed=name == "model")
         for name, mark, color, words in lines + marks
-    ]  # fmt: skip
-    y = data.columns["length"][known["length"]]
+    ]
+    y = column(trace, "length")
+    y = y[np.isfinite(y)]
     alt = f"{labels[1]} over {labels[0]}: {len(y)} lengths from {y.max():.4g} down to {y.min():.4g}."
-    chart = Chart(*labels, (*series, *published([data])[0]), legend=True)
+    chart = Chart(*labels, (*series, *crosses([trace], "pressure", "length")[0]), legend=True)
     return of_charts([[chart]], "Free contraction", caption, alt, numbers([("", trace)]), simulated=simulated)

@@ -12,9 +12,9 @@ from pmabench.analysis.shared.samples import NotUsable
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.kinds.platform_step import MUSCLES
 from pmabench.kinds.platform_step.reduction import course_of
-from pmabench.plotting.chart import PAGE, Chart, Series, small_multiples
+from pmabench.plotting.chart import PAGE, Chart, small_multiples
 from pmabench.plotting.looks import BLUE, BROWN, INK, PALETTE
-from pmabench.plotting.pictures import Picture, has, head, how_many, label, numbers, of_charts, panel, spread
+from pmabench.plotting.pictures import Picture, curve, has, head, how_many, label, numbers, of_charts, spread
 from pmabench.store.analyses.results import Analysis, Trace
 from pmabench.store.records import RunData, TrialData
 
@@ -42,20 +42,19 @@ def attitudes(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
 
 def _charts(trace: Trace) -> list[Chart]:
     """Attitude, and pressures below, of one trial."""
-    found = panel(trace, {name: name for name in SHOWN}, "").columns
-    t, t_label = found["t"], label(trace, "t")
+    t = label(trace, "t")
     angles = [(axis, axis, color, False) for axis, color in (("phi", BLUE), ("psi", BROWN))]
     angles += [("reference" if axis == "phi" else "", f"reference_{axis}", INK, True) for axis in ("phi", "psi")]
     pressures = []
     for n, (name, color) in enumerate(zip(MUSCLES, PALETTE[2:], strict=False), start=1):
         pressures += [(f"muscle {n}", name, color, False), ("", f"wanted_{n}", color, True)]
     upper, lower = (
-        tuple(Series(word, t, found[name], color, width=0.8, dashed=dashed) for word, name, color, dashed in lines)
+        [curve(trace, "t", name, word, color, width=0.8, dashed=dashed) for word, name, color, dashed in lines]
         for lines in (angles, pressures)
     )
     return [
-        Chart(t_label, "phi, psi [deg]", upper, height=UPPER, title=head(trace), legend=True),
-        Chart(t_label, "pressure [kPa]", lower, height=LOWER, legend=True, y_ticks=4),
+        Chart(t, "phi, psi [deg]", upper, height=UPPER, title=head(trace), legend=True),
+        Chart(t, "pressure [kPa]", lower, height=LOWER, legend=True, y_ticks=4),
     ]
 
 

@@ -17,7 +17,7 @@ from pmabench.kinds.positioning.reduction import measured
 from pmabench.plotting.chart import PAGE, Chart, Level, Series, small_multiples
 from pmabench.plotting.looks import BROWN, FAINT, INK, QUIET
 from pmabench.plotting.motion import overlays
-from pmabench.plotting.pictures import Picture, has, head, how_many, label, numbers, of_charts, panel, spread, unit_of
+from pmabench.plotting.pictures import Picture, column, has, head, how_many, label, numbers, of_charts, spread, unit_of
 from pmabench.store.analyses.results import Analysis, Trace
 from pmabench.store.records import RunData, TrialData
 
@@ -62,7 +62,7 @@ def paths(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
 def _charts(trace: Trace, reach: float, *, modelled: bool) -> list[Chart]:
     """The approach, up to `APPROACH`, and below the distance from the set-point over the whole hold, up to `reach`."""
     names = ("t", "displacement", "setpoint", *["model"] * modelled)
-    found = panel(trace, {name: name for name in names}, "").columns
+    found = {name: column(trace, name) for name in names}
     t, unit = found["t"], unit_of(trace, "displacement")
     early, after, aim = t <= APPROACH, t >= 0, trace.marks["setpoint"] / unit.scale
     window = trace.marks.get("window", 0.0)

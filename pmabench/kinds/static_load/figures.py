@@ -105,31 +105,31 @@ def lifts(traces: Sequence[Trace], analysis: Analysis) -> list[pictures.Picture]
     if not able:
         return []
     chosen = pictures.spread(able, PANELS)
-    names = {name: name for name in ("t", "pressure", "displacement")}
-    panels = [pictures.panel(trace, names, pictures.head(trace)) for trace in chosen]
-    labels = {name: pictures.label(chosen[0], name) for name in names}
     caption = (
         "Above: pressure, rising until the load lifts off its support and falling until it sets down; dashed, the "
         f"pressures found. Below: contraction.{pictures.how_many(chosen, able)}"
     )
-    alt = f"Pressure and contraction over time while loads lift off and set down: {'; '.join(p.title for p in panels)}."
-    table = pictures.numbers([(pictures.head(t), t) for t in chosen], ("t", "pressure", "displacement"))
-    rows = small_multiples([_lift(one, labels) for one in panels], 3, common="")
+    titles = [pictures.head(t) for t in chosen]
+    alt = f"Pressure and contraction over time while loads lift off and set down: {'; '.join(titles)}."
+    table = pictures.numbers(list(zip(titles, chosen, strict=True)), ("t", "pressure", "displacement"))
+    rows = small_multiples([_lift(trace) for trace in chosen], 3, common="")
     return [pictures.of_charts(rows, "Lift-off and set-down", caption, alt, table, simulated=analysis.simulated)]
 
 
-def _lift(one: pictures.Panel, labels: dict[str, str]) -> tuple[Chart, Chart]:
+def _lift(trace: Trace) -> tuple[Chart, Chart]:
     """Pressure over time with the pressures found, and contraction below."""
-    t, scale = one.columns["t"], shown("pressure").scale
+    t, scale = pictures.label(trace, "t"), shown("pressure").scale
     levels = tuple(
-        Level(one.marks[name] / scale, f"{name} {one.marks[name] / scale:.4g}", color)
+        Level(trace.marks[name] / scale, f"{name} {trace.marks[name] / scale:.4g}", color)
         for name, color in (("lift", BROWN), ("set-down", GREEN))
-        if name in one.marks
+        if name in trace.marks
     )
-    pressure = (Series("", t, one.columns["pressure"], BLUE, width=1.0),)
-    moved = (Series("", t, one.columns["displacement"], QUIET, width=1.0),)
-    upper = Chart(labels["t"], labels["pressure"], pressure, height=104.0, title=one.title, levels=levels)
-    return upper, Chart(labels["t"], labels["displacement"], moved, height=88.0, y_ticks=3)
+    pressure, moved = (
+        (pictures.label(trace, name), [pictures.curve(trace, "t", name, "", color, width=1.0)])
+        for name, color in (("pressure", BLUE), ("displacement", QUIET))
+    )
+    upper = Chart(t, *pressure, height=104.0, title=pictures.head(trace), levels=levels)
+    return upper, Chart(t, *moved, height=88.0, y_ticks=3)
 
 
 def points(traces: Sequence[Trace], analysis: Analysis) -> list[pictures.Picture]:
