@@ -239,33 +239,29 @@ def _charts(panels: Sequence[Panel], labels: tuple[str, str]) -> list[Chart]:
     """Left the angles; right the gap between both branches, if there are two."""
     lines, marks, gaps = [], [], []
     for i, one in enumerate(panels):
-        color = PALETTE[i % len(PALETTE)]
+        color, P = PALETTE[i % len(PALETTE)], one.columns["pressure"]
         known = {name: np.isfinite(values) for name, values in one.columns.items()}
-        drawn = {name: (one.columns["pressure"][known[name]], one.columns[name][known[name]]) for name in known}
-        lines += [
-            Series("", *drawn[name], color, width=0.9, dashed=name == "model", hidden=True)
-            for name in ("fit", "model")
-            if name in drawn
-        ]
-        marks += [
-            Series(word, *drawn[name], color, mark, hollow=True, said=f"{one.title} {name}")
-            for name, mark, word in (("below", "^", one.title), ("above", "v", ""))
-            if name in drawn
-        ]
+        for name in sorted(known.keys() & {"fit", "model"}):
+            drawn = P[known[name]], one.columns[name][known[name]]
+            lines.append(Series("", *drawn, color, width=0.9, dashed=name == "model", hidden=True))
+        for name, mark, word in (("below", "^", one.title), ("above", "v", "")):
+            if name in known:
+                drawn = P[known[name]], one.columns[name][known[name]]
+                marks.append(Series(word, *drawn, color, mark, hollow=True, said=f"{one.title} {name}"))
         if "table" in one.marks:
-            ends = np.array([0.985, 1.015]) * np.nanmax(one.columns["pressure"])
+            ends = np.array([0.985, 1.015]) * np.nanmax(P)
             marks.append(Series("", ends, np.degrees(np.full(2, one.marks["table"])), INK, hidden=True))
-        if "above" in drawn:
-            P, above = drawn["above"]
-            gap = above - one.columns["below"][known["above"]]
-            gaps += [Series("", P, gap, color, width=0.7, hidden=True), Series("", P, gap, color, "o", said=one.title)]
+        if "above" in known:
+            gap = (one.columns["above"] - one.columns["below"])[known["above"]]
+            look = P[known["above"]], gap, color
+            gaps += [Series("", *look, width=0.7, hidden=True), Series("", *look, "o", said=one.title)]
     marks += [one for theirs in published(panels) for one in theirs]
     share = 0.6 if gaps else 1.0
-    angle = Chart(*labels, (*lines, *marks), share * PAGE, HEIGHT, legend=True)
-    if not gaps:
-        return [angle]
-    zero, rest = (Level(0.0, color=QUIET, dashed=False),), (1 - share) * PAGE - GAP
-    return [angle, Chart(labels[0], "above − below [deg]", tuple(gaps), rest, HEIGHT, levels=zero)]
+    charts = [Chart(*labels, (*lines, *marks), share * PAGE, HEIGHT, legend=True)]
+    if gaps:
+        zero, rest = (Level(0.0, color=QUIET, dashed=False),), (1 - share) * PAGE - GAP
+        charts.append(Chart(labels[0], "above − below [deg]", tuple(gaps), rest, HEIGHT, levels=zero))
+    return charts
 
 
 def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
