@@ -73,7 +73,7 @@ def _charts(trace: Trace, reach: float, *, modelled: bool) -> list[Chart]:
         far.append(Series("simulated", t[after], found["model"][after] - aim, BROWN, width=0.7))
     near.append(Series("reference", t[early], found["setpoint"][early], INK, width=0.8, dashed=True))
     levels = (Level(0.0, color=INK), *[Level(window, color=QUIET, upright=True)] * (window > 0))
-    begin = min(0.0, float(t[0]))
+    begin, end = min(0.0, float(np.nanmin(t))), max(APPROACH, float(np.nanmax(t)))
     return [
         Chart(
             label(trace, "t"), f"contraction [{unit.unit}]", tuple(near), height=UPPER,
@@ -81,7 +81,7 @@ def _charts(trace: Trace, reach: float, *, modelled: bool) -> list[Chart]:
         ),
         Chart(
             label(trace, "t"), f"x − set-point [{unit.unit}]", tuple(far), height=LOWER,
-            ends=(0.0, float(t[-1]), -reach, reach), levels=levels, legend=True, y_ticks=3,
+            ends=(0.0, end, -reach, reach), levels=levels, legend=True, y_ticks=3,
         ),
     ]  # fmt: skip
 
