@@ -298,7 +298,7 @@ def isometric(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
 
 
 def _scattered(trace: Trace, title: str, theirs: Sequence[Series], group: str) -> Chart:
-    """Samples of force over pressure, coloured by a column, with the fitted line."""
+    """Samples of force over pressure, coloured by a column, with the fitted line as far as there are such forces."""
     x, y = column(trace, "pressure"), column(trace, "force")
     member = column(trace, group) if has(trace, group) else np.zeros(len(x))
     series = [
@@ -306,7 +306,7 @@ def _scattered(trace: Trace, title: str, theirs: Sequence[Series], group: str) -
         for n, one in enumerate(np.unique(member))
     ]
     fit = column(trace, "fit") if has(trace, "fit") else np.full(len(x), np.nan)
-    known = np.flatnonzero(np.isfinite(fit) & np.isfinite(x))
+    known = np.flatnonzero(np.isfinite(x) & (fit >= np.nanmin(y)) & (fit <= np.nanmax(y)))
     if len(known):
         ends = known[[np.argmin(x[known]), np.argmax(x[known])]]
         series.append(Series("fit", x[ends], fit[ends], INK))

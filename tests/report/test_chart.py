@@ -49,9 +49,8 @@ def test_a_loop_is_closed_and_keeps_its_turning_points():
     kept = needed(100 * x, 100 * x, 0.1)
     assert x[kept].max() > 0.97
     angle = np.linspace(0, 2 * np.pi, 90, endpoint=False)
-    (across, down) = pieces(
-        line(closed(np.sin(angle)), closed(np.cos(angle))), line(closed(np.sin(angle)), closed(np.cos(angle))).series[0]
-    )[0]
+    loop = closed(Series("", np.sin(angle), np.cos(angle), BLUE))
+    (across, down) = pieces(Chart("x", "y", (loop,)), loop)[0]
     assert (across[0], down[0]) == pytest.approx((across[-1], down[-1]))
 
 

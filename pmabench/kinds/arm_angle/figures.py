@@ -244,11 +244,11 @@ def _charts(traces: Sequence[Trace], titles: Sequence[str], labels: tuple[str, s
             gaps += [Series("", *look, width=0.7, hidden=True), Series("", *look, "o", said=title)]
     marks += [one for theirs in crosses(traces, "pressure", "angle") for one in theirs]
     share = 0.6 if gaps else 1.0
-    angle = Chart(*labels, (*lines, *marks), share * PAGE, HEIGHT, legend=True)
-    if not gaps:
-        return [angle]
-    zero, rest = (Level(0.0, color=QUIET, dashed=False),), (1 - share) * PAGE - GAP
-    return [angle, Chart(labels[0], "above − below [deg]", tuple(gaps), rest, HEIGHT, levels=zero)]
+    charts = [Chart(*labels, (*lines, *marks), share * PAGE, HEIGHT, legend=True)]
+    if gaps:
+        zero, rest = (Level(0.0, color=QUIET, dashed=False),), (1 - share) * PAGE - GAP
+        charts.append(Chart(labels[0], "above − below [deg]", tuple(gaps), rest, HEIGHT, levels=zero))
+    return charts
 
 
 def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
