@@ -157,9 +157,9 @@ def test_each_further_method_lies_aside_by_its_place_and_published_values_are_ne
     monkeypatch.setattr(coefficient_figures, "of_charts", kept)
     (picture,) = coefficient_figures.over_pressure([mine, theirs], {}, ("m0", "m1"))
     (chart,) = drawn
-    first = [float(s.x[0]) for s in chart.series if not s.cross]
+    first = [float(s.x[0]) for s in chart.series if s.mark == "o"]
     assert first == pytest.approx([100.0 + 200.0 * coefficient_figures.ASIDE * n for n in range(8)])
-    assert [(s.cross, float(s.x[0])) for s in chart.series][8:] == [(True, 100.0)]
+    assert [(s.mark, float(s.x[0])) for s in chart.series][8:] == [("x", 100.0)]
     assert "Crosses: Serres 2009" in picture.caption
 
 
@@ -186,9 +186,8 @@ def test_a_test_of_a_new_kind_has_its_figures_on_the_first_page():
 def test_only_what_is_shown_is_drawn(monkeypatch):
     """A report looks through many figures for its first pages; drawing is most of what it costs."""
     drawn = []
-    for name in ("to_svg", "joined"):
-        draw = getattr(pictures, name)
-        monkeypatch.setattr(pictures, name, lambda figure, alt, draw=draw: drawn.append(alt) or draw(figure, alt))
+    draw = pictures.joined
+    monkeypatch.setattr(pictures, "joined", lambda rows, alt: drawn.append(alt) or draw(rows, alt))
     content = content_of(samples.all_analyses(), samples.all_runs())
     shown = [*content.front, *(item for section in content.sections for item in section.figures)]
     assert len(drawn) == len(shown) > 8

@@ -22,9 +22,9 @@ from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.kinds.closed_volume import RESULTS
 from pmabench.kinds.closed_volume.stroke import Gas, Stroke, fit_volume, measure, moved_by, spreads_of, volume_at
-from pmabench.plotting.chart import Series, of_points
+from pmabench.plotting.chart import Chart, Series
+from pmabench.plotting.looks import PALETTE
 from pmabench.plotting.pictures import Picture, column, has, how_many, numbers, of_charts, spread, unit_of
-from pmabench.plotting.plots import PALETTE
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace, withhold
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -237,7 +237,7 @@ def volumes(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     if not chosen:
         return []
     series = [one for i, trace in enumerate(chosen) for one in _series(trace, i)]
-    points = [one for one in series if one.dots]
+    points = [one for one in series if one.mark]
     labels = (unit_of(chosen[0], "contraction").label("contraction ε"), unit_of(chosen[0], "volume").label("V"))
     marks = chosen[0].marks
     curve = ""
@@ -254,10 +254,10 @@ def volumes(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     every = np.concatenate([p.y for p in points])
     least, most = float(np.nanmin(every)), float(np.nanmax(every))
     alt = f"{labels[1]} over {labels[0]} from {len(points)} start pressures, {least:.4g} to {most:.4g}."
-    chart = of_points(series, *labels, alt, simulated=analysis.simulated)
+    chart = Chart(*labels, tuple(series), alt=alt, legend=True)
     table = numbers([(p.label, t) for p, t in zip(points, chosen, strict=True)], COLUMNS)
     title, simulated = "Volume over contraction", analysis.simulated
-    return [of_charts([[chart]], title, caption, alt, table, simulated=simulated, still=True)]
+    return [of_charts([[chart]], title, caption, alt, table, simulated=simulated)]
 
 
 def _series(trace: Trace, i: int) -> list[Series]:
@@ -267,7 +267,7 @@ def _series(trace: Trace, i: int) -> list[Series]:
     curve = [Series("", x, column(trace, "curve"), PALETTE[0])] if i == 0 and "curve" in trace.columns else []
     name = show(trace.marks["pressure"], "pressure") if "pressure" in trace.marks else f"{i + 1}"
     aside = x + 0.012 * i * np.ptp(x)
-    return [*curve, Series(f"from {name}", aside, y, PALETTE[i % len(PALETTE)], True, half, hollow=i > 0)]
+    return [*curve, Series(f"from {name}", aside, y, PALETTE[i % len(PALETTE)], "o", half, hollow=i > 0)]
 
 
 def one_trial(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:

@@ -6,7 +6,7 @@ Also the figure, and with `one_trial` the values of one trial for the display.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import hypot, pi
 from typing import Any
 
@@ -34,8 +34,9 @@ from pmabench.analysis.shared.trials import grouped, mean_of_trials, measured_tr
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.kinds.joint_step import RESULTS
-from pmabench.plotting import time_plots
-from pmabench.plotting.pictures import Picture, bound, has, how_many, label, numbers, panel, picture, spread
+from pmabench.plotting.looks import BLUE, BROWN, QUIET
+from pmabench.plotting.motion import courses as courses_of
+from pmabench.plotting.pictures import Picture, curve, has, how_many, label, numbers, of_charts, spread
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -294,20 +295,19 @@ def courses(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     if not able:
         return []
     chosen = spread(able, MOST)
-    columns = {"t": "t", "x": "reference", "y": "angle"}
-    if all(has(trace, "pressure_1") for trace in chosen):
-        columns["P"] = "pressure_1"
-    panels = [replace(panel(trace, columns, trace.title), marks={}) for trace in chosen]
-    labels = {new: label(chosen[0], old) for new, old in columns.items()}
+    looks = [("reference", QUIET), ("angle", BLUE)]
+    looks += [("pressure_1", BROWN)] if all(has(trace, "pressure_1") for trace in chosen) else []
+    labels = [label(chosen[0], name) for name in ("t", *dict(looks))]
+    stacks = [(one.title, [curve(one, "t", name, "", color, width=1.0) for name, color in looks], ()) for one in chosen]
     caption = (
         "The reference, the angle that followed, and the pressure of muscle 1, in the last trial of each point; "
         f"muscle 2 does the opposite.{how_many(chosen, able)}"
     )
-    alt = f"{labels['y']} over {labels['t']} below its reference: {', '.join(trace.title for trace in chosen)}."
+    alt = f"{labels[2]} over {labels[0]} below its reference: {', '.join(trace.title for trace in chosen)}."
     table = numbers([(trace.title, trace) for trace in chosen])
-    drawn = bound(time_plots.steps, panels, labels)
-    wide = len(panels) > 1
-    return [picture(drawn, "Angle in closed loop", caption, alt, table, wide=wide, simulated=analysis.simulated)]
+    return [
+        of_charts(courses_of(stacks, labels), "Angle in closed loop", caption, alt, table, simulated=analysis.simulated)
+    ]
 
 
 def one_trial(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:

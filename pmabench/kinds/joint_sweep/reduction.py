@@ -24,17 +24,18 @@ from pmabench.analysis.shared.trials import grouped, measured_trials
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.kinds.joint_sweep import RESULTS
-from pmabench.plotting import time_plots
+from pmabench.plotting.chart import Chart, small_multiples
+from pmabench.plotting.looks import BLUE, INK
 from pmabench.plotting.pictures import (
     Picture,
-    bound,
+    crosses,
+    curve,
     has,
     head,
     how_many,
     label,
     numbers,
-    panel,
-    picture,
+    of_charts,
     reach,
     spread,
 )
@@ -343,22 +344,22 @@ def loops(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     if not able:
         return []
     chosen = spread(able, PANELS)
-    panels = []
-    for trace in chosen:
-        mean = panel(trace, {"x": "angle", "y": "mean"}, "") if has(trace, "mean") else None
-        panels.append((head(trace), [("loop", panel(trace, {"x": "angle", "y": "torque"}, ""))], mean))
-    labels = {"x": label(chosen[0], "angle"), "y": label(chosen[0], "torque")}
+    labels = label(chosen[0], "angle"), label(chosen[0], "torque")
+    charts = []
+    for trace, theirs in zip(chosen, crosses(chosen, "angle", "torque"), strict=True):
+        lines = [curve(trace, "angle", "torque", "loop", BLUE, width=1.0)]
+        lines += [curve(trace, "angle", "mean", "mean", INK, width=1.0, dashed=True)] if has(trace, "mean") else []
+        charts.append(Chart(*labels, (*lines, *theirs), title=head(trace), legend=True))
     gaps, slopes = (reach([trace.marks[name] for trace in chosen]) for name in ("H_tau", "K_th"))
     caption = (
         "The last cycle, and the mean of its branches without what the turns leave in it: what a model without "
         f"hysteresis is to give. Gap at mid sweep, falling minus rising angle: {gaps} N·m; stiffness there: {slopes} "
         f"N·m/rad.{how_many(chosen, able)}"
     )
-    alt = f"{labels['y']} over {labels['x']} as loops: {', '.join(title for title, *_ in panels)}, with the mean curve."
+    alt = f"{labels[1]} over {labels[0]} as loops: {', '.join(map(head, chosen))}, with the mean curve."
     table = numbers([(head(trace), trace) for trace in chosen])
-    wide = len(panels) > 1
-    drawn = bound(time_plots.loops, panels, labels)
-    return [picture(drawn, "Torque over angle", caption, alt, table, wide=wide, simulated=analysis.simulated)]
+    rows = small_multiples(charts, 3)
+    return [of_charts(rows, "Torque over angle", caption, alt, table, simulated=analysis.simulated)]
 
 
 def one_trial(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:

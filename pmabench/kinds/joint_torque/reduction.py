@@ -24,8 +24,9 @@ from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.kinds.joint_torque import RESULTS
 from pmabench.kinds.joint_torque.staircase import ORDERS, ROUNDED, Staircase, ramps_of, staircase_of
-from pmabench.plotting import time_plots
-from pmabench.plotting.pictures import Picture, bound, has, how_many, label, numbers, panel, picture, spread, unit_of
+from pmabench.plotting.chart import ZERO, Chart, small_multiples
+from pmabench.plotting.looks import PALETTE
+from pmabench.plotting.pictures import Picture, curve, has, how_many, label, numbers, of_charts, spread, unit_of
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace, withhold
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -377,21 +378,26 @@ def maps(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
         if not able:
             continue
         chosen = spread(able, MOST)
-        panels = []
-        for name in chosen:
-            columns = {"x": "angle", "y": f"torque at {name}", "gap": f"stiffness at {name}"}
-            panels.append(panel(trace, columns, name.replace(" kPa and ", ", ")))
-        units = (unit_of(trace, f"{what} at {chosen[0]}").label(what) for what in ("torque", "stiffness"))
-        labels = dict(zip(("x", "y", "gap"), (label(trace, "angle"), *units), strict=True))
+        labels = [unit_of(trace, f"{what} at {chosen[0]}").label(what) for what in ("torque", "stiffness")]
+        torque, stiffness = (
+            [
+                curve(trace, "angle", f"{what} at {name}", said, PALETTE[n % len(PALETTE)])
+                for n, name in enumerate(chosen)
+                for said in [name.replace(" kPa and ", ", ") if what == "torque" else ""]
+            ]
+            for what in ("torque", "stiffness")
+        )
+        upper = Chart(label(trace, "angle"), labels[0], torque, height=150.0)
+        lower = Chart(label(trace, "angle"), labels[1], stiffness, height=96.0, levels=(ZERO,), y_ticks=3)
+        rows = small_multiples([(upper, lower)], 1)
         caption = (
             "Above the torque that the joint holds at each angle, the mean of both sides; below its stiffness, minus "
             f"the slope of that torque. A line for each pair of pressures of muscle 1 and muscle 2."
             f"{how_many(chosen, able)}"
         )
-        alt = f"{labels['y']} and {labels['gap']} over {labels['x']} at {', '.join(chosen)}."
-        drawn, table = bound(time_plots.means, panels, labels), numbers([("", trace)])
-        title = "Torque and stiffness over angle"
-        found.append(picture(drawn, title, caption, alt, table, wide=False, simulated=analysis.simulated))
+        alt = f"{labels[0]} and {labels[1]} over {upper.x_label} at {', '.join(chosen)}."
+        table, title = numbers([("", trace)]), "Torque and stiffness over angle"
+        found.append(of_charts(rows, title, caption, alt, table, simulated=analysis.simulated))
     return found
 
 

@@ -26,9 +26,9 @@ from pmabench.analysis.shared.trials import grouped, measured_trials
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.kinds.relaxation import RESULTS
-from pmabench.plotting.chart import Series, of_points
+from pmabench.plotting.chart import Chart, Series
+from pmabench.plotting.looks import PALETTE
 from pmabench.plotting.pictures import Picture, column, has, head, how_many, numbers, of_charts, spread, unit_of
-from pmabench.plotting.plots import PALETTE
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, Command, RunData, TrialData
 
@@ -472,13 +472,13 @@ def courses(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     table = numbers([(head(t), t) for t in chosen])
     title, simulated = "Force over time after the step", analysis.simulated
     series = [one for i, trace in enumerate(chosen) for one in _series(trace, PALETTE[i % len(PALETTE)])]
-    chart = of_points(series, *labels, alt, simulated=simulated)
-    return [of_charts([[chart]], title, caption, alt, table, simulated=simulated, still=True)]
+    chart = Chart(*labels, tuple(series), alt=alt, legend=True)
+    return [of_charts([[chart]], title, caption, alt, table, simulated=simulated)]
 
 
 def _series(trace: Trace, color: str) -> list[Series]:
     x = np.log10(column(trace, "t"))
-    return [Series("", x, column(trace, "line"), color), Series(head(trace), x, column(trace, "force"), color, True)]
+    return [Series("", x, column(trace, "line"), color), Series(head(trace), x, column(trace, "force"), color, "o")]
 
 
 def one_trial(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:

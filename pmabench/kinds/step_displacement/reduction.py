@@ -14,6 +14,7 @@ from math import hypot, sqrt
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import MOST_HIDDEN, Doubt, force_from_cycle_to_cycle, weighed
@@ -25,9 +26,10 @@ from pmabench.analysis.verdict.agreement import Offer, exactly, values_of, weigh
 from pmabench.base.quantities import show
 from pmabench.kinds.step_displacement import RESULTS
 from pmabench.kinds.step_displacement.step import Recovery, Relaxation, Steps, measure
-from pmabench.plotting import time_plots
-from pmabench.plotting.pictures import Picture, bound, column, has, head, how_many, label, numbers, picture, spread
-from pmabench.plotting.plots import Array, Panel
+from pmabench.plotting.chart import Level, Series
+from pmabench.plotting.looks import BLUE, BROWN, INK, QUIET
+from pmabench.plotting.motion import courses
+from pmabench.plotting.pictures import Picture, column, has, head, how_many, label, numbers, of_charts, spread
 from pmabench.plotting.wording import shown
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace, withhold
 from pmabench.store.records import RunData, TrialData
@@ -371,6 +373,8 @@ def _without_friction(e: Estimate) -> Estimate:
 
 PANELS = 4
 """Most panels."""
+LEVELS = ("before", "peak", "relaxed")
+"""Marks of forces in a panel."""
 
 
 def steps(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
@@ -379,33 +383,35 @@ def steps(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     chosen = spread(able, PANELS)
     if not chosen:
         return []
-    panels, names, scale = [], {"t": "t", "x": "displacement", "y": "force"}, shown("force").scale
-    for trace in chosen:
-        columns = _around(trace, names | ({"P": "pressure"} if has(trace, "pressure") else {}))
-        marks = {name: value / scale for name, value in trace.marks.items() if name in ("before", "peak", "relaxed")}
-        panels.append(Panel(head(trace), columns, marks))
-    labels = {new: label(chosen[0], old) for new, old in names.items()} | {"P": shown("pressure").label("pressure")}
+    scale, titles = shown("force").scale, [head(t) for t in chosen]
+    stacks = []
+    for trace, title in zip(chosen, titles, strict=True):
+        near = _around(trace)
+        lines = [
+            Series("", column(trace, "t")[near], column(trace, name)[near], color, width=1.0)
+            for name, color in (("displacement", QUIET), ("force", BLUE), ("pressure", BROWN))
+            if all(has(t, name) for t in chosen)
+        ]
+        levels = [Level(trace.marks[name] / scale, color=INK) for name in LEVELS if name in trace.marks]
+        stacks.append((title, lines, levels))
+    labels = [label(chosen[0], name) for name in ("t", "displacement", "force")] + [shown("pressure").label("pressure")]
     caption = (
         "Around the last step of a trial. Dashed: force before the step, at its peak and relaxed; the rest after the "
         f"step is longer than what is drawn.{how_many(chosen, able)}"
     )
-    alt = (
-        f"Contraction, force and pressure over time around steps of displacement: {'; '.join(p.title for p in panels)}."
-    )
-    draw = bound(time_plots.steps, panels, labels)
-    table = numbers([(p.title, t) for p, t in zip(panels, chosen, strict=True)])
-    title = "Steps of displacement"
-    return [picture(draw, title, caption, alt, table, wide=len(chosen) > 1, simulated=analysis.simulated)]
+    alt = f"Contraction, force and pressure over time around steps of displacement: {'; '.join(titles)}."
+    table = numbers(list(zip(titles, chosen, strict=True)))
+    return [
+        of_charts(courses(stacks, labels), "Steps of displacement", caption, alt, table, simulated=analysis.simulated)
+    ]
 
 
-def _around(trace: Trace, names: dict[str, str]) -> dict[str, Array]:
-    """The columns from shortly before the step to well after its motion, six times its duration."""
-    x = column(trace, "displacement")
+def _around(trace: Trace) -> NDArray[np.bool_]:
+    """Rows from shortly before the step to well after its motion, six times its duration."""
+    x, t = column(trace, "displacement"), column(trace, "t")
     moving = np.flatnonzero(np.abs(x - x[-1]) > 0.05 * np.ptp(x))
-    t = column(trace, "t")
     end = float(t[moving[-1]]) if len(moving) else float(t[-1])
-    rows = (t >= -end) & (t <= max(6 * end, end + 0.1))
-    return {new: column(trace, old)[rows] for new, old in names.items()}
+    return np.asarray((t >= -end) & (t <= max(6 * end, end + 0.1)))
 
 
 def one_trial(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
