@@ -121,8 +121,6 @@ class Compilation:
         """Every channel without a problem, by name; outputs and valves likewise."""
         self.outputs: dict[str, OutputRecord] = {}
         self.valves: dict[str, ValveRecord] = {}
-        self.driver_lacks: list[str] = []
-        """Warnings about devices' options; each continues the sentence "this bench has"."""
         files: dict[type[Strict], Any] = {SpecimenFile: any_specimen()}
         if specimen is not None:
             self.texts["specimen.yaml"] = document_text(specimen)

@@ -4,8 +4,7 @@ A driver may have a class method `check(device: DeviceRecord)` that yields (plac
 starts at the device (`options` or `address`) or at the top of the bench file (`channels`, `outputs`, `interlocks`
 by name). It must touch no device and import nothing heavy.
 Another one, `fastest(device: DeviceRecord)`, may return its highest sample rate with these options [Hz], so that we
-can warn of a protocol that asks for more, and `lacks(device: DeviceRecord)` yields surprises of these options,
-each continuing the sentence "this bench has"; both are called only if the options are valid.
+can warn of a protocol that asks for more; it is called only if the options are valid.
 
 A text as option `map` names a YAML file next to the bench file; its content replaces the name. The same holds for the
 text of a DBC file (messages of a CAN bus), named by the option `dbc`, and the numbers of a plant file, named by the
@@ -52,8 +51,6 @@ def checked(c: Compilation, device: DeviceRecord) -> DeviceRecord:
     wrong = list(check(device)) if check is not None else []
     for place, message in wrong:
         _add_problem(c, at, place, message, map_document)
-    if not wrong and hasattr(driver, "lacks"):
-        c.driver_lacks += driver.lacks(device)
     fastest = getattr(driver, "fastest", None)
     if fastest is None or wrong:
         return device

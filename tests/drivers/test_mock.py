@@ -245,7 +245,7 @@ def test_the_actuator_has_limits_and_a_load_means_nothing_to_it():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"presset": "ideal"}, 'no option "presset"; did you mean "preset"'),
+        ({"presset": "ideal"}, 'unknown key "presset"; did you mean "preset"'),
         ({"preset": "idel"}, 'did you mean "ideal"'),
         ({"plant": 3}, "plant"),
         ({"seed": "one"}, "number"),

@@ -86,9 +86,9 @@ def test_real_time_is_needed():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"start": 1}, "option start: true or false is expected, not 1"),
-        ({"idle": 0}, "option idle: a time above 0 s"),
-        ({"presset": "ideal"}, 'no option "presset"; did you mean "preset"'),
+        ({"start": 1}, "options.start: true or false is expected, not 1"),
+        ({"idle": 0}, "options.idle: a value above 0 is expected, not 0"),
+        ({"presset": "ideal"}, 'unknown key "presset"; did you mean "preset"'),
     ],
 )
 def test_options_are_checked_before_anything_is_opened(options, message):

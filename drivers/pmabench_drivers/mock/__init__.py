@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING, TypeAlias
 from pmabench.base.clock import Clock, RealClock, VirtualClock
 from pmabench.base.errors import DeviceError, did_you_mean
 from pmabench.bench.interface import Block, DeviceRecord, Identity, Load, OutputRecord, Segment
-from pmabench_drivers.mock.options import E_STOP, JOINT, PLATFORM, VALVES, Options, output_of, problems, read_options
+from pmabench_drivers.mock.options import E_STOP, JOINT, PLATFORM, VALVES, output_of, problems, read_options
 from pmabench_drivers.shared.device import refuse_nonsense
+from pmabench_drivers.shared.options import Place, options_of
 
 if TYPE_CHECKING:
     from pmabench_drivers.mock.simulation import JointSimulation, PlatformSimulation, Simulation
@@ -40,23 +41,18 @@ class MockBench:
     """
 
     verified = "a simulation"
+    read_options = staticmethod(read_options)
 
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         self._device, self._clock = device, clock
-        self._options = self._read_options()
+        self._options = options_of(device, self.read_options)
         self._opened: AnySimulation | None = None
         self._closed = threading.Event()
 
     @classmethod
-    def check(cls, device: DeviceRecord) -> Iterable[tuple[tuple[str, ...], str]]:
+    def check(cls, device: DeviceRecord) -> Iterable[tuple[Place, str]]:
         """Errors of the options, each with its place; builds no plant."""
-        return problems(device, device.options)
-
-    def _read_options(self) -> Options:
-        options, name = read_options(self._device.name, self._device.options), self._device.name
-        if (options.faults.dead_at, options.faults.mute_at) != (None, None):
-            raise DeviceError(name, "the faults dead_at and mute_at need the driver mock-realtime")
-        return options
+        return problems(device, cls.read_options)
 
     def open(self) -> Identity:
         """Build the plant at rest, without pressure, the load support under the carriage."""

@@ -24,7 +24,8 @@ from typing import Any, TypeVar
 from pmabench.base.clock import Clock, RealClock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import Block, DeviceRecord, Identity, Load, Segment
-from pmabench_drivers.mock.options import PLATFORM, output_of, problems, read_options, split_service
+from pmabench_drivers.mock.options import output_of, problems, read_realtime
+from pmabench_drivers.shared.options import Place, options_of
 
 LONGEST_LINE = 1 << 20
 LONGEST_BYTES = 1 << 26
@@ -143,21 +144,14 @@ class MockClient:
     verified = "a simulation"
 
     @classmethod
-    def check(cls, device: DeviceRecord) -> Iterable[tuple[tuple[str, ...], str]]:
+    def check(cls, device: DeviceRecord) -> Iterable[tuple[Place, str]]:
         """Errors of the options, each with its place; starts nothing."""
-        try:
-            _service, plant = split_service(device.name, device.options)
-        except DeviceError as error:
-            return [(("options",), error.message)]
-        if plant.get("plant") == PLATFORM:
-            return [(("options", "plant"), "a platform is simulated in virtual time only: driver mock")]
-        return problems(device, plant)
+        return problems(device, read_realtime)
 
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         if not isinstance(clock, RealClock):
             raise DeviceError(device.name, 'the driver mock-realtime needs a bench with "time: real"')
-        self._service, plant = split_service(device.name, device.options)
-        read_options(device.name, plant)
+        self._service = options_of(device, read_realtime).service
         if self._service.log:
             log = str(Path(self._service.log).absolute())
             device = replace(device, options={**device.options, "log": log})
