@@ -10,9 +10,8 @@ from pmabench.base.errors import InvalidFile, Problem
 from pmabench.base.quantities import CHANNEL_QUANTITY
 from pmabench.bench import interface as b
 from pmabench.bench.channels import fit_line
-from pmabench.bench.driver_options import DBC, LONGEST, MAP, loaded
+from pmabench.bench.driver_options import DBC, MAP, driver_class, loaded, read_named_file
 from pmabench.bench.files.emulated import ActuatorFile, DeviceTruth, Line, TruthFile
-from pmabench.bench.registry import driver_class
 from pmabench.files.document import Document, Location, read_document, validate
 from pmabench.files.quantity import unit_factor
 from pmabench.files.shipped import shipped_folder
@@ -125,28 +124,16 @@ class _Device:
     def _options(self) -> dict[str, Any]:
         """Options, with the names of a register map or DBC file next to this file replaced by its content."""
         options = dict(self.file.options)
-        for key, suffix in ((MAP, ".yaml"), (DBC, ".dbc")):
-            name = options.get(key)
-            if not isinstance(name, str):
-                continue
-            if Path(name).is_absolute() or ".." in Path(name).parts or Path(name).suffix != suffix:
-                self.fault(("options", key), f'a {suffix} file next to this one is expected, not "{name}"')
-                continue
-            try:
-                path = self._folder / name
-                options[key] = read_document(path).data if key == MAP else _text(path)
-            except InvalidFile as error:
-                self.problems += error.problems
-            except (OSError, ValueError) as error:
-                self.fault(("options", key), f"cannot read {name}: {getattr(error, 'strerror', '') or error}")
+        for key in (MAP, DBC):
+            if isinstance(name := options.get(key), str):
+                try:
+                    found = read_named_file(self._folder, name, key)
+                    options[key] = found if isinstance(found, str) else found.data
+                except InvalidFile as error:
+                    self.problems += error.problems
+                except ValueError as error:
+                    self.fault(("options", key), str(error))
         return options
-
-
-def _text(path: Path) -> str:
-    data = path.read_bytes()
-    if len(data) > LONGEST:
-        raise ValueError(f"longer than {LONGEST} bytes")
-    return data.decode("latin-1")
 
 
 def _refused_by_driver(device: _Device, record: b.DeviceRecord) -> Iterator[Problem]:

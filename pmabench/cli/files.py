@@ -114,7 +114,7 @@ def _schema(kind: str) -> dict[str, Any]:
 
 def _of_driver(name: str) -> dict[str, Any]:
     """The schema of the map files of a driver, which its `map_schema` gives."""
-    from pmabench.bench.registry import driver_class
+    from pmabench.bench.driver_options import driver_class
 
     schema: dict[str, Any] = load(driver_class(name)).map_schema()
     return schema

@@ -16,7 +16,9 @@ def test_check_names_the_session_where_it_is_due_and_not_where_one_counts(tmp_pa
     due = json.loads(call(*CHECK, "--json").stdout)
     assert due["session"]["due"]
     assert due["duration"] == alone["duration"]
-    assert "comes first and is not in that: self-test, warm-up of 20.0 s, zeros" in " ".join(call(*CHECK).stdout.split())
+    assert "comes first and is not in that: self-test, warm-up of 20.0 s, zeros" in " ".join(
+        call(*CHECK).stdout.split()
+    )
     ensure(mounted("mock-session"), ConfirmedBeforehand(), tmp_path / "runs")
     assert not json.loads(call(*CHECK, "--json").stdout)["session"]["due"]
     assert "the last one still counts" in call(*CHECK).stdout

@@ -209,8 +209,7 @@ class Options:
     service: Service = field(default_factory=Service)
 
 
-def read_options(device: DeviceRecord, reader: Reader, *, realtime: bool = False) -> Options:
-    """Options of a device of the driver `mock`, or of `mock-realtime`."""
+def _read(device: DeviceRecord, reader: Reader, *, realtime: bool) -> Options:
     own = set(_names(Options)) - {"numbers", "overrides", "service"}
     served = _names(Service) if realtime else []
     given = reader.keys(device.options, HERE, (*own, *_names(Overrides), *served))
@@ -236,14 +235,20 @@ def read_options(device: DeviceRecord, reader: Reader, *, realtime: bool = False
     for name, value in (("slow_vent", options.slow_vent), ("idle", options.service.idle)):
         if not value > 0:
             reader.fault((*HERE, name), f"a value above 0 is expected, not {value:g}")
-    if not realtime and (options.faults.dead_at, options.faults.mute_at) != (None, None):
+    return options
+
+
+def read_options(device: DeviceRecord, reader: Reader) -> Options:
+    """Options of a device of the driver `mock`."""
+    options = _read(device, reader, realtime=False)
+    if (options.faults.dead_at, options.faults.mute_at) != (None, None):
         reader.fault((*HERE, "faults"), "the faults dead_at and mute_at need the driver mock-realtime")
     return options
 
 
 def read_realtime(device: DeviceRecord, reader: Reader) -> Options:
     """Options of a device of the driver `mock-realtime`."""
-    options = read_options(device, reader, realtime=True)
+    options = _read(device, reader, realtime=True)
     if options.plant == PLATFORM:
         reader.fault((*HERE, "plant"), "a platform is simulated in virtual time only: driver mock")
     return options
