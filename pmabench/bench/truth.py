@@ -1,20 +1,135 @@
-"""Truth files to plain numbers for an emulator: wiring and scales that do not come from the bench file under test."""
+"""Files for emulated benches: the faults that an emulator shows, and the truth of a rig as plain numbers.
+
+The emulator defines which faults exist. A truth file states what is really wired to which terminal, with scales from
+the data sheets: they do not come from the bench file under test.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, model_validator
 
 from pmabench.base.errors import InvalidFile, Problem
 from pmabench.base.quantities import CHANNEL_QUANTITY
 from pmabench.bench import interface as b
 from pmabench.bench.channels import fit_line
 from pmabench.bench.driver_options import DBC, MAP, driver_class, loaded, read_named_file
-from pmabench.bench.files.emulated import ActuatorFile, DeviceTruth, Line, TruthFile
-from pmabench.files.document import Document, Location, read_document, validate
-from pmabench.files.quantity import unit_factor
+from pmabench.bench.files.specimen import Name, Reading, Text
+from pmabench.files.document import Document, Location, Strict, read_document, validate
+from pmabench.files.quantity import Load, Time, unit_factor
 from pmabench.files.shipped import shipped_folder
+
+
+class Event(Strict):
+    """One thing that happens: a fault of a device, a fault of the plant, or another load on the free end."""
+
+    after: Time = 0.0
+    """Time since the emulator was started."""
+    device: Annotated[str, Field(max_length=60)] | None = None
+    fault: Annotated[str, Field(max_length=60)] | None = None
+    value: str | int | float | None = None
+    """Size of the fault, with its unit if it has one; the fault's usual size if not given."""
+    count: Annotated[int, Field(ge=1, le=1_000_000)] | None = None
+    """Number of answers or samples that it affects; until it is cleared if not given."""
+    lasts: Annotated[Time, Field(gt=0)] | None = Field(default=None, alias="for")
+    plant: Annotated[str, Field(max_length=60)] | None = None
+    load: Load | None = None
+
+    @model_validator(mode="after")
+    def _one(self) -> Event:
+        given = [self.device is not None or self.fault is not None, self.plant is not None, self.load is not None]
+        if sum(given) != 1 or (self.device is None) != (self.fault is None):
+            raise ValueError('either "device" with its "fault", or "plant", or "load" is expected')
+        if self.device is None and (self.value is not None or self.count is not None):
+            raise ValueError('"value" and "count" belong to the fault of a device')
+        if self.load is not None and self.lasts is not None:
+            raise ValueError('a load stays until another one comes; leave "for" out')
+        return self
+
+
+class FaultsFile(Strict):
+    """What goes wrong while a bench is emulated."""
+
+    schema_: Annotated[Literal["pmabench.faults/1"], Field(alias="schema")]
+    faults: Annotated[list[Event], Field(min_length=1, max_length=1000)]
+
+
+Line = tuple[tuple[Reading, Reading], tuple[Reading, Reading]]
+"""Two points of a straight line."""
+Terminal = Annotated[str, Field(min_length=1, max_length=80)]
+Source = Annotated[str, Field(min_length=1, max_length=400)]
+"""Data sheet or page with the numbers."""
+
+
+class SensorFile(Strict):
+    """What is measured at one terminal: the sensor from signal to quantity, the device from digits to signal."""
+
+    measures: Literal[
+        "pressure", "displacement", "force", "supply", "angle", "pressure_command", "displacement_command"
+    ]
+    sensor: Line
+    device: Line | None = None
+    """Scale of the device, if it does not give the signal itself but for instance counts for volts."""
+    source: Source
+
+
+class ActuatorFile(Strict):
+    """What a set-point moves: the actuator from its signal to the quantity, the device from digits to signal."""
+
+    drives: Literal["pressure", "displacement"]
+    actuator: Line
+    device: Line | None = None
+    step: Reading | None = None
+    """Smallest step of the device."""
+    range: tuple[Reading, Reading] | None = None
+    """Ends of the travel of a drive."""
+    source: Source
+
+
+class ValveTruth(Strict):
+    """A valve on a digital output."""
+
+    valve: Literal["dump_valve"]
+    energised: Literal["closed", "open"]
+    """Position while energised."""
+    source: Source
+
+
+class ContactTruth(Strict):
+    """A contact on a digital input."""
+
+    contact: Name
+    """A contact whose name has "stop" in it is the emergency stop."""
+    released: Literal["high", "low"]
+    """Level while it is not pressed."""
+    source: Source
+
+
+class DeviceTruth(Strict):
+    """One device: which it is, how it is set up, and what is wired to it by terminal."""
+
+    driver: str
+    """Name of its driver."""
+    options: dict[str, Any] = {}
+    """Settings of the device, as options of its driver; its address is in the bench file."""
+    inputs: dict[Terminal, SensorFile] = {}
+    outputs: dict[Terminal, ActuatorFile] = {}
+    valves: dict[Terminal, ValveTruth] = {}
+    contacts: dict[Terminal, ContactTruth] = {}
+
+
+class TruthFile(Strict):
+    """What a rig really is, written from data sheets and not from the bench file that is to be proven."""
+
+    schema_: Annotated[Literal["pmabench.truth/1"], Field(alias="schema")]
+    name: Annotated[str, Field(min_length=1, max_length=80)]
+    note: Text = ""
+    devices: Annotated[dict[Name, DeviceTruth], Field(min_length=1)]
+    """Devices by their names in the bench file."""
+
 
 ENDLESS = 1e9
 NOWHERE = "127.0.0.1:0"

@@ -204,7 +204,7 @@ class Faults:
 
     def of_file(self, path: Path) -> list[Happening]:
         """All requests of a file; raises InvalidFile with every problem."""
-        from pmabench.bench.files.emulated import FaultsFile
+        from pmabench.bench.truth import FaultsFile
         from pmabench.files.document import read_document, validate
 
         document = read_document(path)

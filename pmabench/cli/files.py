@@ -124,9 +124,9 @@ def _of_models(kind: str) -> dict[str, Any]:
     from pydantic import BaseModel, Field, TypeAdapter
 
     from pmabench.bench.files.bench import BenchFile
-    from pmabench.bench.files.emulated import FaultsFile, TruthFile
     from pmabench.bench.files.plant import AnyPlant
     from pmabench.bench.files.specimen import CalibrationFile, SpecimenFile
+    from pmabench.bench.truth import FaultsFile, TruthFile
     from pmabench.kinds import registry
     from pmabench.kinds.compile import CampaignFile, kind_class
     from pmabench.protocol.cascade import CascadeFile
