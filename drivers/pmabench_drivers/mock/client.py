@@ -15,7 +15,7 @@ import socket
 import sys
 import time
 from array import array
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -24,8 +24,8 @@ from typing import Any, TypeVar
 from pmabench.base.clock import Clock, RealClock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import Block, DeviceRecord, Identity, Load, Segment
-from pmabench_drivers.mock.options import output_of, problems, read_realtime
-from pmabench_drivers.shared.options import Place, options_of
+from pmabench_drivers.mock.options import Options, output_of, read_realtime
+from pmabench_drivers.shared.device import Driver
 
 LONGEST_LINE = 1 << 20
 LONGEST_BYTES = 1 << 26
@@ -131,7 +131,7 @@ class Link:
         self._socket.close()
 
 
-class MockClient:
+class MockClient(Driver):
     """A bench whose simulated plant runs in real time in a separate process (`pmabench_drivers.mock.server`).
 
     Channels, outputs, dump valve, digital input and options are those of the driver `mock`
@@ -142,20 +142,17 @@ class MockClient:
     """
 
     verified = "a simulation"
-
-    @classmethod
-    def check(cls, device: DeviceRecord) -> Iterable[tuple[Place, str]]:
-        """Errors of the options, each with its place; starts nothing."""
-        return problems(device, read_realtime)
+    read_options = staticmethod(read_realtime)
+    _options: Options
 
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         if not isinstance(clock, RealClock):
             raise DeviceError(device.name, 'the driver mock-realtime needs a bench with "time: real"')
-        self._service = options_of(device, read_realtime).service
+        super().__init__(device, clock)
+        self._service = self._options.service
         if self._service.log:
             log = str(Path(self._service.log).absolute())
-            device = replace(device, options={**device.options, "log": log})
-        self._device, self._clock = device, clock
+            self._device = replace(device, options={**device.options, "log": log})
         self._address = parse_address(device.name, device.address)
         self._valves = {valve.output for valve in device.valves}
         self._link: Link | None = None

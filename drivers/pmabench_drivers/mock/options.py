@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any
 
@@ -235,6 +235,7 @@ def _read(device: DeviceRecord, reader: Reader, *, realtime: bool) -> Options:
     for name, value in (("slow_vent", options.slow_vent), ("idle", options.service.idle)):
         if not value > 0:
             reader.fault((*HERE, name), f"a value above 0 is expected, not {value:g}")
+    _check_names(device, reader, options)
     return options
 
 
@@ -304,6 +305,18 @@ def _check_plant(reader: Reader, options: Options, overrides: Sequence[str]) -> 
         reader.fault((*HERE, name), f"the plant {options.plant} has no use for it")
 
 
+def _check_names(device: DeviceRecord, reader: Reader, options: Options) -> None:
+    known, places = inputs_of(options.free_end, options.plant), outputs_of(options.free_end, options.plant)
+    named: list[tuple[Place, str, str, Sequence[str]]] = []
+    named += [(("channels", channel.name, "input"), "input", channel.input, known) for channel in device.channels]
+    named += [(("outputs", output.name, "output"), "output", output.output, places) for output in device.outputs]
+    there_are = VALVES_OF.get(options.plant, VALVES)
+    named += [(("outputs", valve.name, "output"), "valve", valve.output, there_are) for valve in device.valves]
+    named += [(("interlocks", each.name, "input"), "digital input", each.input, [E_STOP]) for each in device.interlocks]
+    for place, what, name, there in named:
+        reader.known(place, f"no {what}", name, there)
+
+
 def _names(kind: Any) -> list[str]:
     return [item.name for item in fields(kind)]
 
@@ -330,24 +343,6 @@ def outputs_of(free_end: str, plant: str) -> tuple[str, ...]:
 def pressure_of(options: Options) -> str:
     """Channel input of the pressure that gets stuck."""
     return f"pressure_{options.faulty}" if options.plant in MUSCLES_OF else "pressure"
-
-
-def problems(device: DeviceRecord, read: Callable[[DeviceRecord, Reader], Options]) -> list[tuple[Place, str]]:
-    """Errors of the options as read by `read`, and of the names of inputs and outputs, each with its place."""
-    reader = Reader()
-    options = read(device, reader)
-    known, places = inputs_of(options.free_end, options.plant), outputs_of(options.free_end, options.plant)
-    named: list[tuple[Place, str, str, Sequence[str]]] = []
-    named += [(("channels", channel.name, "input"), "input", channel.input, known) for channel in device.channels]
-    named += [(("outputs", output.name, "output"), "output", output.output, places) for output in device.outputs]
-    there_are = VALVES_OF.get(options.plant, VALVES)
-    named += [(("outputs", valve.name, "output"), "valve", valve.output, there_are) for valve in device.valves]
-    named += [
-        (("interlocks", lock.name, "input"), "digital input", lock.input, (E_STOP,)) for lock in device.interlocks
-    ]
-    for place, what, name, there in named:
-        reader.known(place, f"no {what}", name, there)
-    return reader.problems
 
 
 def output_of(device: DeviceRecord, name: str, *values: float) -> OutputRecord:
