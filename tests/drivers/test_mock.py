@@ -267,7 +267,9 @@ def test_values_that_cannot_be_are_refused_when_opened(options):
 
 def test_an_unknown_input_is_refused_with_the_nearest_one():
     channel = ChannelRecord("pressure", "pressure", "plant", "presure", "float64", "Pa", Scale(), 0, 1)
-    with pytest.raises(DeviceError, match=r'plant: channels\.pressure\.input: no input "presure"; did you mean "pressure"'):
+    with pytest.raises(
+        DeviceError, match=r'plant: channels\.pressure\.input: no input "presure"; did you mean "pressure"'
+    ):
         MockBench(DeviceRecord("plant", "", "", {}, (channel,)), VirtualClock()).open()
 
 
