@@ -91,7 +91,7 @@ class Link:
         while answer.get("n") != self._number:
             while (end := self._bytes.find(b"\n") + 1) == 0:
                 self._receive(by)
-            answer = decode(self._bytes[:end])
+            answer = decode(bytes(self._bytes[:end]))
             size = answer.get("bytes", 0)
             while len(self._bytes) < end + size:
                 self._receive(by)
