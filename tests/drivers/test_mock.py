@@ -1,6 +1,7 @@
 """The mock bench through the driver interface: what it samples, when, in which units, and what it refuses."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -257,6 +258,16 @@ def test_the_actuator_has_limits_and_a_load_means_nothing_to_it():
 def test_options_are_checked_before_opening(options, message):
     with pytest.raises(DeviceError, match=message):
         MockBench(record(**options), VirtualClock())
+
+
+def test_all_mistakes_are_said_at_once_each_at_its_place():
+    wrong = record(seed="one", presset="ideal", faults={"burst": 1, "nan_at": "soon"}, errors={"force": {"end": "top"}})
+    wrong = replace(wrong, channels=(replace(wrong.channels[0], input="presure"),))
+    places = {".".join(place) for place, _ in MockBench.check(wrong)}
+    assert places == {
+        *("options.seed", "options.presset", "options.faults.burst", "options.faults.nan_at"),
+        *("options.errors.force.end", "channels.pressure.input"),
+    }
 
 
 @pytest.mark.parametrize("options", [{"regulator_lag": -1.0}, {"b_relax": "b_other"}, {"dead_band": 5.0}])

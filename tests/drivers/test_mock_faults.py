@@ -166,6 +166,8 @@ def test_plugs_may_be_swapped():
     [
         ({"errors": {"presure": {}}}, 'no input "presure"; did you mean "pressure"'),
         ({"errors": {"pressure": {"gain": 2}}}, 'errors.pressure.gain: unknown key "gain"'),
+        ({"errors": {3: {}}}, 'no input "3"'),
+        ({"built": {3: 1.0}}, 'has nothing called "3"'),
         ({"errors": {"pressure": 2}}, "errors.pressure: keys and values are expected here, not 2"),
         ({"errors": {"pressure": {"end": "top"}}}, 'errors.pressure.end: "top" is not known here'),
         ({"faults": {"mute_at": 1.0}}, "mock-realtime"),

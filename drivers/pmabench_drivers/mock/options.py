@@ -266,8 +266,8 @@ def sensor_errors(reader: Reader, given: Any, place: Place) -> dict[str, SensorE
 
 
 def _values(reader: Reader, given: Mapping[str, Any], place: Place, known: Collection[str]) -> dict[str, Any]:
-    """What can be read of the known names."""
-    found = {name: _value(reader, given, name, place) for name in known if name in given}
+    """What can be read of the known names, in the order given."""
+    found = {name: _value(reader, given, name, place) for name in given if name in known}
     return {name: value for name, value in found.items() if value is not None}
 
 

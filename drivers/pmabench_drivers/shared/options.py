@@ -131,7 +131,7 @@ class Reader:
         """Whether a name is known; if not, notes a problem that begins with `says` and ends with `more`."""
         if name in (names := list(known)):
             return True
-        self.fault(place, f'{says} "{name}"{did_you_mean(name, names)}{more}')
+        self.fault(place, f'{says} "{name}"{did_you_mean(str(name), names)}{more}')
         return False
 
     def lines(self, device: DeviceRecord, numbers: Mapping[str, int], more: str) -> None:
