@@ -224,9 +224,9 @@ class Sampled(ABC):
     def _settle(self) -> None:
         """Update the air for the present state of valves and faults."""
 
-    @abstractmethod
     def _at(self, time: float) -> dict[str, float]:
         """Quantity at each input at `time` [s], to which the plant is advanced."""
+        return {name: float(values[0]) for name, values in self._along(time, np.array([time])).items()}
 
     @abstractmethod
     def _along(self, until: float, times: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
