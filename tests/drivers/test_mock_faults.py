@@ -171,7 +171,7 @@ def test_plugs_may_be_swapped():
         ({"errors": {"pressure": 2}}, "errors.pressure: keys and values are expected here, not 2"),
         ({"errors": {"pressure": {"end": "top"}}}, 'errors.pressure.end: "top" is not known here'),
         ({"faults": {"mute_at": 1.0}}, "mock-realtime"),
-        ({"clock_ppm": 50}, 'unknown key "clock_ppm"'),
+        ({"idle": 50}, 'unknown key "idle"'),
         ({"slow_vent": 0}, "slow_vent"),
     ],
 )

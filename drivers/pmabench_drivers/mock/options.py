@@ -156,10 +156,6 @@ class Service:
     """Time without a client after which it vents and ends [s]."""
     log: str = ""
     """File to which it appends the commands, as JSON lines; none by default."""
-    clock_ppm: float = 0.0
-    """Excess rate of the device's clock over bench time [ppm]."""
-    clock_offset: float = 0.0
-    """Time of the device's clock at bench time 0 [s]."""
 
 
 @dataclass(frozen=True)

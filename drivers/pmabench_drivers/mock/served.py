@@ -169,13 +169,10 @@ class Served:
             )
         block = self._bench.collect()
         shift = round((self.clock.start - asker.zero) * 1e9)
-        moment = np.asarray(block.time, dtype="<i8") + shift
-        if self.service.clock_ppm or self.service.clock_offset:
-            drift = np.rint(1e-6 * self.service.clock_ppm * moment).astype("<i8")
-            moment = moment + drift + round(self.service.clock_offset * 1e9)
+        moments = (np.asarray(block.time, dtype="<i8") + shift).astype("<i8")
         columns = [np.asarray(column, dtype="<f8").tobytes() for column in block.columns.values()]
         head = {"rows": len(block.time), "columns": list(block.columns)}
-        return head, b"".join([moment.astype("<i8").tobytes(), *columns])
+        return head, b"".join([moments.tobytes(), *columns])
 
     def _write(self, asker: Asker, question: Mapping[str, Any]) -> None:
         output, value = o.output_of(self.device, str(question["output"])), float(question["value"])

@@ -12,7 +12,7 @@ Role `rescue` is a client's second connection to the outputs. Then, as in the dr
 `write` and `rescue` (`output`, `value`), `read_back`, `halt`, `is_on` (`output`), `follow` (`output`, `segment` on the
 client's bench time), `switch` (`output`, `on`), `level` (`name`), `place` (`force`, `mass`), `start` (`rate`), `stop`,
 `collect`, `arm` (`seconds`), `feed`, `disarm`, `held`. The result is in `value`. `collect` answers
-`{"rows": r, "columns": [names]}` and as raw bytes the r times (int64, ns on the device's clock), then each column
+`{"rows": r, "columns": [names]}` and as raw bytes the r times (int64, ns on the client's bench time), then each column
 (float64, all little-endian). A pressure set-point beyond 0 to 1000 kPa is taken as the end of that range.
 
 Watchdog: once armed, and without a request on any connection for its time, it de-energises the valves and sets the
