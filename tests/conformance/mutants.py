@@ -8,7 +8,7 @@ from dataclasses import replace
 from functools import cache
 from importlib import import_module
 
-from pmabench.bench.registry import driver_class, drivers
+from pmabench.bench.driver_options import driver_class, drivers
 from pmabench.conformance import subject
 from tests.conformance import EXAMPLE_FOLDER, mutants_commands, mutants_example, mutants_manners, mutants_samples
 from tests.conformance.faults import EXAMPLE, MUTANTS, applies

@@ -205,7 +205,6 @@ def ultimate_gain(simulated: bool = True) -> Analysis:
                     "source": "Ziegler and Nichols 1942",
                     "gains": {key: e.to_dict() for key, e in gains.items()},
                     "margins": {"gain_margin": 2.0, "phase_margin": 0.59, "M_s": None, "stable": True},
-                    "overshoot": 0.51,
                 }
             )
         t = np.linspace(0, 4, 500)
