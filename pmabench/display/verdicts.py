@@ -216,6 +216,7 @@ def prepare(name: str) -> None:
     kind = registry.find(name)
     if kind and kind.live:
         kind.part("live")
+        kind.part("reduction")
 
 
 def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:

@@ -1,6 +1,6 @@
 """Reduction of steps and sines of a joint in closed loop: errors, times, gain and phase, each with an interval.
 
-Also the figure, and with `one_trial` the values of one trial for the display.
+Also the figure.
 """
 
 from __future__ import annotations
@@ -31,7 +31,6 @@ from pmabench.analysis.shared.samples import (
 from pmabench.analysis.shared.signals import Response, respond
 from pmabench.analysis.shared.skew import late, off
 from pmabench.analysis.shared.trials import grouped, mean_of_trials, measured_trials, point_of
-from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.kinds.joint_step import RESULTS
 from pmabench.plotting import time_plots
@@ -308,16 +307,3 @@ def courses(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     drawn = bound(time_plots.steps, panels, labels)
     wide = len(panels) > 1
     return [picture(drawn, "Angle in closed loop", caption, alt, table, wide=wide, simulated=analysis.simulated)]
-
-
-def one_trial(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
-    """End error and settling time of a step; gain and phase of a sine."""
-    try:
-        one = course_of(run, trial, {})
-    except NotUsable as reason:
-        return [Measured("e_th", "angle", None), Measured("t_s", "time", None)], [str(reason)]
-    if isinstance(one, Swung):
-        answer = complex(one.answers.mean())
-        return [Measured("g_th", "ratio", abs(answer)), Measured("phi_th", "angle", float(np.angle(answer)))], []
-    doubts = [] if one.values["t_s"] is not None else ["the angle does not come into the band about its goal"]
-    return [Measured("e_th", "angle", one.values["e_th"]), Measured("t_s", "time", one.values["t_s"])], doubts

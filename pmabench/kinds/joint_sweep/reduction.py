@@ -1,7 +1,7 @@
 """Reduction of sweeps of a joint: torque, stiffness, gap and loop area, each with an interval.
 
 One sweep: its loop, the stiffness of its cycles, and what its record shows against them; then all of a point. Also the
-figure, and with `one_trial` the values of one trial for the display.
+figure.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ from pmabench.analysis.shared.lines import left_by
 from pmabench.analysis.shared.ramp_loop import Loop, Turns, fading, measure
 from pmabench.analysis.shared.samples import NotUsable, ends, on_time, settings_of
 from pmabench.analysis.shared.trials import grouped, measured_trials
-from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.kinds.joint_sweep import RESULTS
 from pmabench.plotting import time_plots
@@ -359,15 +358,3 @@ def loops(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     wide = len(panels) > 1
     drawn = bound(time_plots.loops, panels, labels)
     return [picture(drawn, "Torque over angle", caption, alt, table, wide=wide, simulated=analysis.simulated)]
-
-
-def one_trial(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
-    """Stiffness, and gap of the branches at mid sweep."""
-    try:
-        one = sweep_of(run, trial, {})
-    except NotUsable as reason:
-        return [Measured("K_th", "torsional stiffness", None), Measured("H_tau", "torque", None)], [str(reason)]
-    gap, noise = float(one.loop.middle_gap.mean()), one.loop.noise
-    wrong = "the torque is larger while the angle rises: a wrong sign, or angle and torque apart in time"
-    K = Measured("K_th", "torsional stiffness", float(one.stiffness.mean()))
-    return [K, Measured("H_tau", "torque", gap, noise=noise)], [wrong] if gap < -max(noise, 1e-3) else []

@@ -1,7 +1,6 @@
 """Reduction of torques at locked angles: maps of torque and stiffness, each value with an interval.
 
-A torque whose zero drifts, and planes over the pressures at each angle; all trials of a pair of pressures; the figure,
-and with `one_trial` the values of one trial for the display.
+A torque whose zero drifts, and planes over the pressures at each angle; all trials of a pair of pressures; the figure.
 """
 
 from __future__ import annotations
@@ -18,9 +17,8 @@ from pmabench.analysis.shared import joint, student
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.joint import BY_PRESSURE, CUT, MUSCLES, STIFFNESS, TORQUE
-from pmabench.analysis.shared.samples import Left, NotUsable, lag_open, left
+from pmabench.analysis.shared.samples import Left, lag_open, left
 from pmabench.analysis.shared.trials import grouped, measured_trials
-from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.kinds.joint_torque import RESULTS
 from pmabench.kinds.joint_torque.staircase import ORDERS, ROUNDED, Staircase, ramps_of, staircase_of
@@ -393,15 +391,3 @@ def maps(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
         title = "Torque and stiffness over angle"
         found.append(picture(drawn, title, caption, alt, table, wide=False, simulated=analysis.simulated))
     return found
-
-
-def one_trial(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
-    """Gap between both sides, and the stiffness at the angle in the middle."""
-    try:
-        one = staircase_of(run, trial, {})
-    except NotUsable as reason:
-        return [Measured("K_th", "torsional stiffness", None), Measured("H_tau", "torque", None)], [str(reason)]
-    why = one.why_no_stiffness
-    stiffness = None if why else float(one.stiffness().mean(axis=0)[one.open.sum() // 2])
-    K, gap = Measured("K_th", "torsional stiffness", stiffness), float(one.gap[:, one.open].mean())
-    return [K, Measured("H_tau", "torque", gap, noise=one.rests.noise)], [why] if why else []

@@ -1,19 +1,12 @@
-"""Figures of steps of a platform: attitude with its reference, and the three pressures.
-
-`measure`: the values of one trial, for the display.
-"""
+"""Figures of steps of a platform: attitude with its reference, and the three pressures."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from math import ceil
 from typing import TYPE_CHECKING
 
-from pmabench.analysis.shared.samples import NotUsable
-from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.kinds.platform_step import MUSCLES
-from pmabench.kinds.platform_step.reduction import course_of
 from pmabench.plotting.pictures import Picture, bound, has, head, how_many, label, numbers, panel, picture, spread
 from pmabench.plotting.plots import (
     BLUE,
@@ -28,7 +21,6 @@ from pmabench.plotting.plots import (
     legend_above,
 )
 from pmabench.store.analyses.results import Analysis, Trace
-from pmabench.store.records import RunData, TrialData
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -85,15 +77,3 @@ def _drawn(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
         lower.set_xlabel(labels["t"])
     legend_above(figure, 2)
     return figure
-
-
-def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
-    """Time to within 1 deg, overshoot and end error."""
-    try:
-        one = course_of(run, trial)
-    except NotUsable as reason:
-        return [Measured("t_1", "time", None), Measured("OS_q", "angle", None)], [str(reason)]
-    time = one.settled()
-    doubts = [] if time is not None else ["it does not stay within 1 deg in the second half of the hold"]
-    found = [Measured("t_1", "time", time), Measured("OS_q", "angle", one.overshoot, noise=one.noise)]
-    return [*found, Measured("e_q", "angle", math.hypot(*one.ends()), noise=one.noise)], doubts
