@@ -20,7 +20,7 @@ from pmabench.analysis.shared.joint import AXES, BY_PRESSURE, CUT, MUSCLES, STIF
 from pmabench.analysis.shared.lines import left_by
 from pmabench.analysis.shared.ramp_loop import Loop, Turns, fading, measure
 from pmabench.analysis.shared.samples import NotUsable, ends, on_time, settings_of
-from pmabench.analysis.shared.trials import grouped, measured_trials
+from pmabench.analysis.shared.trials import Reduction, grouped
 from pmabench.base.quantities import show
 from pmabench.kinds.joint_sweep import RESULTS
 from pmabench.plotting import time_plots
@@ -190,23 +190,18 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     gives the slope of the hysteresis instead, three times as much). A sweep that is too small is refused with the
     reason. `options`: `discard` (cycles at the start; else the plan's setting, else 1).
     """
-    options = options or {}
-    sweeps, dropped = _sweeps(runs, options)
-    scales = Scales.of(runs)
-    estimates, findings, traces = list[Estimate](), list[Finding](), list[Trace]()
-    for at, members in _cells(sweeps).items():
-        estimates += _estimates(dict(at), members, scales)
-        traces.append(_trace(dict(at), members[-1]))
-    findings += [Finding("doubt", f"{one.trial}: {one.reason}") for one in dropped]
-    for one, turns in ((one, one.loop.turns) for one in sweeps):
+    result = _sweeps(runs, options)
+    for at, members in _cells(result.measured).items():
+        result.estimates += _estimates(dict(at), members, result.scales)
+        result.traces.append(_trace(dict(at), members[-1]))
+    result.doubt_dropped()
+    for one, turns in ((one, one.loop.turns) for one in result.measured):
         if turns is not None:
             text = f"{one.trial.name}: a turn fades on w = {show(turns.w, 'angle', 3)}; 3 w are cut after each"
-            findings.append(Finding("note", text))
-    findings += joint.findings(runs, [(one.trial.point, one.kept) for one in sweeps], scales, estimates)
-    facts = {"options": dict(options), "trials": len(sweeps)}
-    return Analysis.of(
-        KIND, runs, results=RESULTS, estimates=estimates, dropped=dropped, findings=findings, traces=traces, facts=facts
-    )
+            result.findings.append(Finding("note", text))
+    kept = [(one.trial.point, one.kept) for one in result.measured]
+    result.findings += joint.findings(runs, kept, result.scales, result.estimates)
+    return result.analysis()
 
 
 def stiffness_of(run: RunData, trial: TrialData) -> float:
@@ -214,25 +209,26 @@ def stiffness_of(run: RunData, trial: TrialData) -> float:
     return float(sweep_of(run, trial, {}).stiffness.mean())
 
 
-def _sweeps(runs: Sequence[RunData], options: Mapping[str, Any]) -> tuple[list[Sweep], list[Dropped]]:
+def _sweeps(runs: Sequence[RunData], options: Mapping[str, Any] | None) -> Reduction[Sweep]:
     """The usable trials, without those of a point where at least as many loops have another form."""
     off: dict[tuple[float, ...], list[str]] = {}
 
-    def measured(run: RunData, trial: TrialData) -> Sweep:
+    def measured(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Sweep:
         try:
             return sweep_of(run, trial, options)
         except OffForm as reason:
             off.setdefault(_place(trial.point), []).append(str(reason))
             raise
 
-    sweeps, dropped = measured_trials(runs, measured)
-    alike = [_place(one.trial.point) for one in sweeps]
+    result = Reduction.of(KIND, RESULTS, runs, options, measured)
+    alike = [_place(one.trial.point) for one in result.measured]
     spoiled = {place for place, reasons in off.items() if len(reasons) >= alike.count(place)}
-    for one, place in zip(sweeps, alike, strict=True):
+    for one, place in zip(result.measured, alike, strict=True):
         if place in spoiled:
             text = f"half of the sweeps at this point, or more, have another form, so it tells nothing: {off[place][0]}"
-            dropped.append(Dropped(one.trial.name, one.trial.point, text))
-    return [one for one, place in zip(sweeps, alike, strict=True) if place not in spoiled], dropped
+            result.dropped.append(Dropped(one.trial.name, one.trial.point, text))
+    result.measured = [one for one, place in zip(result.measured, alike, strict=True) if place not in spoiled]
+    return result
 
 
 COORDINATES = (*MUSCLES, "angular_speed", "lowest_angle", "highest_angle")

@@ -19,7 +19,7 @@ from pmabench.analysis.shared.samples import NotUsable, count_of, lag_of, sticks
 from pmabench.analysis.shared.signals import SMALLEST, Response, respond, smooth, without_spikes
 from pmabench.analysis.shared.simulated import closed_loop, model_of
 from pmabench.analysis.shared.skew import late
-from pmabench.analysis.shared.trials import grouped, mean_of_trials, measured_trials, point_of
+from pmabench.analysis.shared.trials import Reduction, grouped, mean_of_trials, point_of
 from pmabench.base.quantities import show
 from pmabench.kinds.positioning import RESULTS, paths
 from pmabench.kinds.positioning.paths import ALONE, CHANNEL, Tracked, rows_of
@@ -92,29 +92,22 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     """
     runs, spikes = without_spikes(runs)
     models = {run.id: model_of(run) for run in runs}
-    found, dropped = measured_trials(runs, lambda run, trial: measured(run, trial, models[run.id]))
-    along = [one for one in found if isinstance(one, Tracked)]
-    holds = [one for one in found if isinstance(one, Hold)]
+    result = Reduction.of(KIND, RESULTS, runs, options, lambda run, trial, _: measured(run, trial, models[run.id]))
+    along = [one for one in result.measured if isinstance(one, Tracked)]
+    holds = [one for one in result.measured if isinstance(one, Hold)]
     cells = sorted(grouped(holds, lambda hold: point_of(hold.trial)).items())
     model = next((one for one in models.values() if one is not None), None)
-    tracked, notes, ways = paths.along_paths(along)
-    estimates = [e for at, members in cells for e in _estimates(dict(at), members)]
-    ordered = [hold for _, members in cells for hold in members]
-    return Analysis.of(
-        KIND,
-        runs,
-        results=RESULTS,
-        estimates=[*estimates, *tracked],
-        dropped=dropped,
-        findings=[*(_findings(runs, ordered, model) if ordered else []), *notes, *spikes],
-        traces=[*(_trace(members[0]) for _, members in cells), *ways],
-        facts={
-            "options": dict(options or {}),
-            "trials": len(found),
-            "cells": len(cells),
-            "model": None if model is None else model.source,
-            "controllers": [_controller(members[0]) for _, members in cells],
-        },
+    for at, members in cells:
+        result.estimates += _estimates(dict(at), members)
+        result.traces.append(_trace(members[0]))
+    if ordered := [hold for _, members in cells for hold in members]:
+        result.findings += _findings(runs, ordered, model)
+    result.add(*paths.along_paths(along))
+    result.findings += spikes
+    return result.analysis(
+        cells=len(cells),
+        model=None if model is None else model.source,
+        controllers=[_controller(members[0]) for _, members in cells],
     )
 
 
