@@ -16,8 +16,7 @@ from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.analysis.verdict.acceptance import not_accepted, not_accepted_as_form
 from pmabench.analysis.verdict.agreement import KIND as AGREEMENT
 from pmabench.analysis.verdict.agreement import Offer, agreement, offers_of, side_by_side, without_diameter
-from pmabench.analysis.verdict.checks import with_checks, with_record
-from pmabench.analysis.verdict.sessions import with_sessions
+from pmabench.analysis.verdict.checks import with_checks, with_record, with_sessions
 from pmabench.base.errors import UsageError, did_you_mean, invalid
 from pmabench.base.kind import Result, load
 from pmabench.base.quantities import show

@@ -6,7 +6,7 @@
   its words and overlays: `checks`
 - the way of the papers, dead times: `exponentials`; the regulator, and how late its gauge is: `bandwidth`
 - by paper 1: `paper1`, made of `paper1_steps`
-- further trials: `predicted`, what they would add; `known`, what is known so far; `next_trial`, the choice
+- further trials: `known`, what is known so far and what they would add; `next_trial`, the choice
 - protocol files: `protocol`; one trial on the display: `live`
 """
 
@@ -105,7 +105,7 @@ KIND = Kind(
     methods=METHODS,
     options=("regulator",),
     parts={
-        "intervals of a plan": "pmabench.kinds.contraction_relaxation.predicted:intervals_of_plan",
+        "intervals of a plan": "pmabench.kinds.contraction_relaxation.known:intervals_of_plan",
         "slow rows": "pmabench.analysis.surface.trials:hanging",
         "next trial": "pmabench.kinds.contraction_relaxation.next_trial:Chooser",
     },

@@ -1,6 +1,6 @@
 """Positions held in closed loop: error, overshoot, settling, limit cycle.
 
-- `reduction` of holds; `paths`: the samples of a loop, and trials along a path
+- `reduction` of holds and of trials along a path
 - protocol files: `protocol`, with `controller`: its gains; figures and one trial on the display: `figures`
 """
 
