@@ -18,7 +18,7 @@ from pmabench.analysis.verdict.agreement import KIND as AGREEMENT
 from pmabench.analysis.verdict.agreement import Offer, agreement, offers_of, side_by_side, without_diameter
 from pmabench.analysis.verdict.checks import with_checks, with_record, with_sessions
 from pmabench.base.errors import UsageError, did_you_mean, invalid
-from pmabench.base.kind import Result, load
+from pmabench.base.kind import load
 from pmabench.base.quantities import show
 from pmabench.base.text import clean
 from pmabench.kinds import registry
@@ -29,11 +29,6 @@ MOST_REASONS = 3
 NUMBER = re.compile(r"[-+]?\d[\d.,]*(e[-+]?\d+)?")
 OF_FILE = re.compile(r"^[^:]*\.\w{1,5}: ")
 """The file that a reason of an import begins with."""
-
-
-def results_of(kind: str) -> tuple[Result, ...]:
-    """Results that the reduction of a kind of run declares; ValueError for an unknown kind."""
-    return registry.kind_of(kind).results
 
 
 def specimen_of(run: RunData) -> str:

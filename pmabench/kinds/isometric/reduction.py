@@ -265,8 +265,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         cells.append({**_facts(contraction, tests, fits, above), "forces": forces, "slopes_of_phases": by_phase})
         traces.append(_trace(contraction, tests, line, above))
     if estimates:
-        if lack := Scales.of([test.run for tests in groups.values() for test in tests]).lack(("force", "pressure")):
-            findings.append(Finding("note", lack))
+        scales = Scales.of([test.run for tests in groups.values() for test in tests])
+        findings += scales.findings(estimates, ("force", "pressure"))
         if len(sessions) < 2:
             findings.append(Finding("note", ONE_SESSION))
     return Analysis.of(
