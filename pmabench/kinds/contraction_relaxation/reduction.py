@@ -1,7 +1,8 @@
 """Reduction of contraction-relaxation runs: K, B_c, B_r, F_ce and F_c over pressure, by two methods.
 
 `measured-pressure` (primary) is the pooled fit of `pooled`, with the measured pressure as input; `step-exponential` is
-`measured-pressure` (primary) is the pooled fit of `pooled`, with the measured pressure as input; `step-exponential` is
+the papers' method. Uses the samples and the plan's commands; knows nothing of the bench. `measure`: one trial for the
+display.
 """
 
 from __future__ import annotations
