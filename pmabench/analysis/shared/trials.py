@@ -20,7 +20,7 @@ from pmabench.store.records import Array, RunData, TrialData
 Members = list[tuple[RunData, TrialData]]
 Point = tuple[tuple[str, float], ...]
 One = TypeVar("One")
-Key = TypeVar("Key", bound=Any)
+Key = TypeVar("Key")
 
 
 def measured_trials(
