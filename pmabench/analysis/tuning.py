@@ -11,7 +11,7 @@ from math import isfinite, sqrt
 from typing import Any
 
 from pmabench.base.errors import did_you_mean
-from pmabench.model.loop import Controller, Loop, Margins, dead_time_for, margins, ultimate
+from pmabench.model.loop import Controller, Loop, Margins, margins, ultimate
 from pmabench.model.rules import Rule, all_rules
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts
 
@@ -147,20 +147,15 @@ AGREES, DOUBTED = 0.15, 0.5
 
 
 def plausibility(T_u: float, loop: Loop) -> Finding:
-    """Finding on whether T_u [s] can come from the linear model `loop`.
-
-    Where T_u is impossible, it names the dead time that the measured period would need.
-    """
+    """Finding on whether T_u [s] can come from the linear model `loop`."""
     expected = ultimate(loop)
     lags = ", ".join(f"{abs(complex(lag)):.3g} s" for lag in loop.lags)
     plant = f"a linear loop with dead time {loop.dead_time * 1e3:.3g} ms and lag{'s' * (len(loop.lags) > 1)} {lags}"
     off = abs(T_u / expected.period - 1)
     if off > DOUBTED:
-        needed = dead_time_for(T_u, loop.lags)
-        would = f"{T_u:.3g} s would need a dead time of {needed:.3g} s" if needed > 0 else "no dead time gives it"
         cycle = "; a cycle so slow is what stiction makes, not an ultimate oscillation" if T_u > expected.period else ""
         text = f"T_u = {T_u:.3g} s is impossible for {plant}: that oscillates at {expected.period:.3g} s"
-        return Finding("fault", f"{text}; {would}{cycle}")
+        return Finding("fault", f"{text}{cycle}")
     sentence = f"T_u = {T_u:.3g} s, where {plant} gives {expected.period:.3g} s"
     if off > AGREES:
         return Finding("doubt", f"{sentence}: more than {AGREES:.0%} apart")

@@ -162,12 +162,6 @@ def _lags(regulator: Regulator) -> tuple[complex, ...]:
     return tuple(lag.real if lag.imag == 0 else lag for lag in pair)
 
 
-def dead_time_for(period: float, lags: tuple[complex, ...]) -> float:
-    """Dead time L [s] for which `lags` [s] give the ultimate period `period` [s]; negative where none does."""
-    omega = 2 * pi / period
-    return (pi - Loop(1.0, 0.0, lags).phase_lag(omega)) / omega
-
-
 @dataclass(frozen=True)
 class Controller:
     """A PID controller in ideal form: C(s) = K_p (1 + 1/(T_i s) + T_d s / (1 + T_d s / filter))."""

@@ -11,7 +11,6 @@ import pytest
 from pmabench.model.loop import (
     Controller,
     Loop,
-    dead_time_for,
     margins,
     muscle_loop,
     sensitivity,
@@ -82,11 +81,6 @@ def test_no_ultimate_gain_without_enough_phase() -> None:
         ultimate(Loop(1.0, 0.0, (0.2, 0.3)))
     with pytest.raises(ValueError, match="gain above 0"):
         Loop(0.0, 0.04, (0.2,))
-
-
-@pytest.mark.parametrize(("lags", "needed"), [((0.22, 0.25), 4.03), ((0.22, 5.0), 2.43), ((0.22, 20.0), 2.13)])
-def test_dead_time_that_nine_seconds_need(lags: tuple[float, ...], needed: float) -> None:
-    assert dead_time_for(9.0, lags) == pytest.approx(needed, abs=5e-3)
 
 
 def test_mass_adds_a_lag_and_may_make_a_pair_complex() -> None:

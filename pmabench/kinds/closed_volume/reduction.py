@@ -17,7 +17,7 @@ from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.lines import mean_of_cycles
 from pmabench.analysis.shared.samples import NotUsable, settings_of
-from pmabench.analysis.shared.trials import grouped, measured_trials
+from pmabench.analysis.shared.trials import Reduction, grouped
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.kinds.closed_volume import RESULTS
@@ -44,25 +44,24 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     """
     settings = settings_of(runs[0], options) if runs else {}
 
-    def stroke_of(run: RunData, trial: TrialData) -> Stroke:
-        if settings_of(run, options) != settings:
+    def stroke_of(run: RunData, trial: TrialData, asked: Mapping[str, Any]) -> Stroke:
+        if settings_of(run, asked) != settings:
             raise NotUsable("its volumes, room or contractions are not those of the first run")
         return measure(run, trial, settings)
 
-    members, dropped = measured_trials(runs, stroke_of)
-    facts: dict[str, Any] = {"options": dict(options or {}), "trials": len(members)}
+    result = Reduction.of(KIND, RESULTS, runs, options, stroke_of)
+    members, scales = result.measured, result.scales
     if not members:
-        return Analysis.of(KIND, runs, results=RESULTS, dropped=dropped, facts=facts)
-    scales, gas, length = Scales.of(runs), Gas.of(settings), float(settings["length"])
-    cells = grouped(members, lambda stroke: round(stroke.trial.point["pressure"], 6))
+        return result.analysis()
+    gas, length = Gas.of(settings), float(settings["length"])
+    cells = dict(result.cells(lambda stroke: round(stroke.trial.point["pressure"], 6)))
     estimates: list[Estimate] = []
-    findings: list[Finding] = []
     spreads = spreads_of(cells, gas)
-    for pressure, group in sorted(cells.items()):
+    for pressure, group in cells.items():
         for leak, method in ((True, TIGHT), (False, PRINTED)):
             estimates += _volumes(pressure, group, settings, scales, method, leak=leak)
-        findings.append(_leaks(pressure, group, gas))
-    findings += _agree(estimates)
+        result.findings.append(_leaks(pressure, group, gas))
+    result.findings += _agree(estimates)
     estimates = [
         weighed(e, spreads[round(e.at["pressure"], 6)].doubts(e, n % len(members[0].x), leak=e.method == TIGHT))
         for n, e in enumerate(estimates)
@@ -77,19 +76,10 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     ]
     if lacking := next((e.note for e in estimates if e.withheld and e.method == TIGHT), ""):
         curve = [withhold(e, f"a volume that it goes through is withheld: {lacking}") for e in curve]
-    if lack := scales.lack(("pressure",), ("pressure",)):
-        findings.append(Finding("note", lack))
+    result.add([*sorted(estimates, key=lambda e: e.method != TIGHT), *curve], (), _traces(estimates, curve, length))
+    result.note_lack(("pressure",), ("pressure",))
     share = max((m.lost / (m.before + gas.atmosphere) for m in members), key=abs)
-    return Analysis.of(
-        KIND,
-        runs,
-        results=RESULTS,
-        estimates=[*sorted(estimates, key=lambda e: e.method != TIGHT), *curve],
-        dropped=dropped,
-        findings=findings,
-        traces=list(_traces(estimates, curve, length)),
-        facts={**facts, "cells": len(cells), "leak": share},
-    )
+    return result.analysis(cells=len(cells), leak=share)
 
 
 def _values(

@@ -1,7 +1,6 @@
 """Reduction of torques at locked angles: maps of torque and stiffness, each value with an interval.
 
-A torque whose zero drifts, and planes over the pressures at each angle; all trials of a pair of pressures; the figure,
-and with `one_trial` the values of one trial for the display.
+A torque whose zero drifts, and planes over the pressures at each angle; all trials of a pair of pressures; the figure.
 """
 
 from __future__ import annotations
@@ -18,16 +17,15 @@ from pmabench.analysis.shared import joint, student
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.joint import BY_PRESSURE, CUT, MUSCLES, STIFFNESS, TORQUE
-from pmabench.analysis.shared.samples import Left, NotUsable, lag_open, left
-from pmabench.analysis.shared.trials import grouped, measured_trials
-from pmabench.analysis.trial import Expected, Found, Measured, Quick
+from pmabench.analysis.shared.samples import Left, lag_open, left
+from pmabench.analysis.shared.trials import Reduction, grouped
 from pmabench.base.quantities import show
 from pmabench.kinds.joint_torque import RESULTS
 from pmabench.kinds.joint_torque.staircase import ORDERS, ROUNDED, Staircase, ramps_of, staircase_of
 from pmabench.plotting.chart import ZERO, Chart, small_multiples
 from pmabench.plotting.looks import PALETTE
 from pmabench.plotting.pictures import Picture, curve, has, how_many, label, numbers, of_charts, spread, unit_of
-from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace, withhold
+from pmabench.store.analyses.results import Analysis, Estimate, Parts, Trace, withhold
 from pmabench.store.records import Array, RunData, TrialData
 
 SURE = 0.9995
@@ -164,9 +162,9 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     With three levels of each pressure and five pairs or more, also torque by pressure s_1, s_2 [N m/Pa] and tau_0 [N m]
     at each angle. `options`: `angles` [rad], in place of the plan's.
     """
-    staircases, dropped = measured_trials(runs, lambda run, trial: staircase_of(run, trial, options or {}))
-    staircases = _with_flanks(staircases)
-    scales = Scales.of(runs)
+    result = Reduction.of(KIND, RESULTS, runs, options, staircase_of)
+    result.measured = staircases = _with_flanks(result.measured)
+    scales = result.scales
     cells: Cells = grouped(staircases, lambda one: tuple(round(one.trial.point[name], 3) for name in MUSCLES))
     estimates = list[Estimate]()
     # change of the torque after the mean of a rest [N.m], rising and falling: mean of all rests of all trials
@@ -179,18 +177,10 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     planes = list(plane_estimates(torques, scales, drift))
     largest = max((abs(e.value) for e in torques if e.value is not None), default=0.0)
     estimates = [drift.weigh(e, drift.by(e), largest) if e.symbol == "tau" else e for e in estimates] + planes
-    findings = [Finding("doubt", f"{one.trial}: {one.reason}") for one in dropped]
-    findings += joint.findings(runs, [(one.trial.point, one.kept) for one in staircases], scales, estimates)
-    return Analysis.of(
-        KIND,
-        runs,
-        results=RESULTS,
-        estimates=estimates,
-        dropped=dropped,
-        findings=findings,
-        traces=list(_map(cells, estimates)),
-        facts={"options": dict(options or {}), "trials": len(staircases)},
-    )
+    result.estimates, result.traces = estimates, list(_map(cells, estimates))
+    result.doubt_dropped()
+    result.findings += joint.findings(runs, [(one.trial.point, one.kept) for one in staircases], scales, estimates)
+    return result.analysis()
 
 
 SHOWN = 1 / 3
@@ -399,15 +389,3 @@ def maps(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
         table, title = numbers([("", trace)]), "Torque and stiffness over angle"
         found.append(of_charts(rows, title, caption, alt, table, simulated=analysis.simulated))
     return found
-
-
-def one_trial(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
-    """Gap between both sides, and the stiffness at the angle in the middle."""
-    try:
-        one = staircase_of(run, trial, {})
-    except NotUsable as reason:
-        return [Measured("K_th", "torsional stiffness", None), Measured("H_tau", "torque", None)], [str(reason)]
-    why = one.why_no_stiffness
-    stiffness = None if why else float(one.stiffness().mean(axis=0)[one.open.sum() // 2])
-    K, gap = Measured("K_th", "torsional stiffness", stiffness), float(one.gap[:, one.open].mean())
-    return [K, Measured("H_tau", "torque", gap, noise=one.rests.noise)], [why] if why else []

@@ -1,22 +1,14 @@
-"""Figures of steps of a platform: attitude with its reference, and the three pressures.
-
-`measure`: the values of one trial, for the display.
-"""
+"""Figures of steps of a platform: attitude with its reference, and the three pressures."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
-from pmabench.analysis.shared.samples import NotUsable
-from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.kinds.platform_step import MUSCLES
-from pmabench.kinds.platform_step.reduction import course_of
 from pmabench.plotting.chart import PAGE, Chart, small_multiples
 from pmabench.plotting.looks import BLUE, BROWN, INK, PALETTE
 from pmabench.plotting.pictures import Picture, curve, has, head, how_many, label, numbers, of_charts, spread
 from pmabench.store.analyses.results import Analysis, Trace
-from pmabench.store.records import RunData, TrialData
 
 COLUMNS, MOST = 3, 6
 UPPER, LOWER = 120.0, 90.0
@@ -56,15 +48,3 @@ def _charts(trace: Trace) -> list[Chart]:
         Chart(t, "phi, psi [deg]", upper, height=UPPER, title=head(trace), legend=True),
         Chart(t, "pressure [kPa]", lower, height=LOWER, legend=True, y_ticks=4),
     ]
-
-
-def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
-    """Time to within 1 deg, overshoot and end error."""
-    try:
-        one = course_of(run, trial)
-    except NotUsable as reason:
-        return [Measured("t_1", "time", None), Measured("OS_q", "angle", None)], [str(reason)]
-    time = one.settled()
-    doubts = [] if time is not None else ["it does not stay within 1 deg in the second half of the hold"]
-    found = [Measured("t_1", "time", time), Measured("OS_q", "angle", one.overshoot, noise=one.noise)]
-    return [*found, Measured("e_q", "angle", math.hypot(*one.ends()), noise=one.noise)], doubts

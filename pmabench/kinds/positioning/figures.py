@@ -12,8 +12,7 @@ import numpy as np
 from pmabench.analysis.shared.samples import NotUsable
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
-from pmabench.kinds.positioning.paths import Tracked
-from pmabench.kinds.positioning.reduction import measured
+from pmabench.kinds.positioning.reduction import Tracked, measured
 from pmabench.plotting.chart import PAGE, Chart, Level, Series, small_multiples
 from pmabench.plotting.looks import BROWN, FAINT, INK, QUIET
 from pmabench.plotting.motion import overlays

@@ -20,7 +20,7 @@ from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import MOST_HIDDEN, Doubt, force_from_cycle_to_cycle, weighed
 from pmabench.analysis.shared.lines import mean_of_cycles
 from pmabench.analysis.shared.samples import OF_TWO, STEPS, Held, NotUsable, left
-from pmabench.analysis.shared.trials import grouped, measured_trials, point_by, thinned
+from pmabench.analysis.shared.trials import Reduction, grouped, point_by, thinned
 from pmabench.analysis.trial import DRIFT, Expected, Found, Measured, Quick
 from pmabench.analysis.verdict.agreement import Offer, exactly, values_of, weighted
 from pmabench.base.quantities import show
@@ -79,37 +79,24 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     exponential after the end of the motion. `options`: `discard` (cycles at the start; else the plan's setting, else
     1).
     """
-    members, dropped = measured_trials(runs, lambda run, trial: measure(run, trial, options or {}))
-    scales = Scales.of(runs)
-    cells = grouped(members, lambda one: point_by(one.trial, CELL))
-    estimates: list[Estimate] = []
-    findings: list[Finding] = []
-    traces: list[Trace] = []
+    result = Reduction.of(KIND, RESULTS, runs, options, measure)
+    cells = result.cells(lambda one: point_by(one.trial, CELL))
     rubbed: dict[tuple[float, float], float] = {}
-    for key, group in cells.items():
+    for key, group in cells:
         most = max(map(_rubbed, group))
         rubbed[_place(dict(key))] = max(most, rubbed.get(_place(dict(key)), 0.0))
-    for key, group in sorted(cells.items()):
+    for key, group in cells:
         at = dict(key)
         for back in (False, True):
             here = {**at, "step": (-1.0 if back else 1.0) * at.get("step", 0.0)}
             each = [member.back if back else member.there for member in group]
-            way = Way(here, group, each, scales, rubbed[_place(at)])
-            estimates += [*way.forces(), *way.times()]
-        findings += _findings(group)
-        traces.append(_trace(at, group[0]))
-    if estimates and (lack := scales.lack(("force", "displacement"))):
-        findings.append(Finding("note", lack))
-    return Analysis.of(
-        KIND,
-        runs,
-        results=RESULTS,
-        estimates=sorted(estimates, key=lambda e: (RELAXED, PEAK, BACK).index(e.method)),
-        dropped=dropped,
-        findings=findings,
-        traces=traces,
-        facts={"options": dict(options or {}), "trials": len(members), "cells": len(cells)},
-    )
+            way = Way(here, group, each, result.scales, rubbed[_place(at)])
+            result.estimates += [*way.forces(), *way.times()]
+        result.findings += _findings(group)
+        result.traces.append(_trace(at, group[0]))
+    result.estimates.sort(key=lambda e: (RELAXED, PEAK, BACK).index(e.method))
+    result.note_lack(("force", "displacement"))
+    return result.analysis(cells=len(cells))
 
 
 def _start(e: Estimate) -> tuple[float, float, float]:
