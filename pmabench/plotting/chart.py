@@ -42,7 +42,7 @@ NEAR = 0.15
 """Distance from its line up to which a point of the drawing is left out [pt]."""
 COLUMN, PAGE, HIGH = 249.0, 510.0, 160.0
 """Widths of narrow and of wide pictures, and their usual height [pt]."""
-POINTS, MOST_DOTS = 4, 300
+POINTS, MOST_DOTS = 3, 300
 """Most points of a line for each point of width, and most small dots of a series, in the data of the page."""
 STATIC = 700
 """Most points of a line in the static SVG."""

@@ -162,7 +162,7 @@ def bode(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
             phase = np.degrees(np.arctan2(loss, trace.marks["K"] * fast / (2 * pi * fine)))
             K = np.full(60, trace.marks["K"] / stiffness.scale)
             for name, y in (("K", K), ("B", loss / fast / damping.scale), ("phase", phase)):
-                series[name].append(Series("", fine, y, color, width=0.9))
+                series[name].append(Series("", fine, y, color, width=0.9, said=title))
         B = np.asarray(trace.columns["loss"]) / speed / damping.scale
         for name, y in (("K", column(trace, "stiffness")), ("B", B), ("phase", column(trace, "phase"))):
             series[name].append(Series(title, f, y, color, MARKS[n % len(MARKS)]))

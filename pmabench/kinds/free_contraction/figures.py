@@ -163,7 +163,7 @@ def _lengths(trace: Trace, simulated: bool) -> Picture:
     more = ", at each pressure reached from 0 and from the highest pressure" if sides else ""
     caption = f"Length at rest without load: the nominal length less the contraction{more}."
     if has(trace, "fit"):
-        caption += " Red: L = a + b / [1 + (p/c)^d]^e − 0.009 L0 √p (paper 2, eq. 1) through the means of both."
+        caption += " Brown: L = a + b / [1 + (p/c)^d]^e − 0.009 L0 √p (paper 2, eq. 1) through the means of both."
     if has(trace, "model"):
         caption += (
             " Dashed: the same with a to e of paper 2 for this nominal length; its printed coefficients are rounded: "

@@ -231,7 +231,7 @@
   }
 
   function plot(chart, box, on, charts, line, moved) {
-    var xs = union(chart.series);
+    var xs = union(chart.series.concat({ x: chart.range.slice(0, 2) }));
     var longest = Math.max.apply(null, chart.series.map(function (s) {
       return chart.legend || s.method || s.first || !s.label ? 0 : s.label.length;
     }));
