@@ -161,8 +161,8 @@ def _replays(
     noise = campaign.noise
     if campaign.pressure_step:
         noise = replace(noise, pressure=sqrt(max(0.0, noise.pressure**2 - campaign.steps.pressure**2)))
-    for seed in range(count):
-        seen_again = segments_of(simulated.measured(work, run, noise, campaign.cell, seed, campaign.pressure_step))
+    for samples in simulated.measured(work, run, noise, campaign.cell, count, campaign.pressure_step):
+        seen_again = segments_of(samples)
         if len(seen_again) < 2 * FEWEST:
             raise NotUsable("the fitted muscle does not move under the loads and pressures that moved the real one")
         yield seen_again
