@@ -137,8 +137,10 @@ class Stretches:
 
 def as_columns(courses: Sequence[Array]) -> Array:
     """Arrays of different length as columns, shape (n, m); shorter ones are extended by their last value."""
-    most = max(map(len, courses))
-    return np.column_stack([np.pad(one, (0, most - len(one)), mode="edge") for one in courses])
+    rows = np.empty((len(courses), max(map(len, courses))))
+    for row, one in zip(rows, courses, strict=True):
+        row[: len(one)], row[len(one) :] = one, one[-1]
+    return np.ascontiguousarray(rows.T)
 
 
 def stretches(pieces: Sequence[tuple[Samples, slice]], dt: float, rest: int) -> Stretches:

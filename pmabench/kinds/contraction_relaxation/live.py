@@ -23,7 +23,8 @@ def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Qu
     if "from" in trial.point:
         return _single_step(run, trial)
     P, load = trial.point.get("pressure", 0.0), trial.point.get("load", 0.0)
-    step = next((s for s in steps_of(samples_of(run, trial, 0), trial, Gate.lift) if s.phase == "contract"), None)
+    steps = steps_of([(samples_of(run, trial, 0), trial)], Gate.lift)
+    step = next((s for s in steps if s.phase == "contract"), None)
     K_e, F_e = (expected.at(name, P) if expected else None for name in ("K", "F_ce"))
     slip = expected.F_c if expected else 0.0
     pull = F_e - slip - load if F_e is not None else None  # F_ce - F_c - F_L, which is K x_inf
