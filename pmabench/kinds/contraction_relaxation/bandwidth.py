@@ -217,7 +217,7 @@ def _least(missed: Callable[[Array], Array], z: Array, least: float) -> tuple[Ar
         normal, pull = slope.T @ slope, slope.T @ left
         moved = False
         while damping < 1e9 and not moved:
-            move = np.linalg.solve(normal + np.diag(damping * normal.diagonal() + 1e-30), -pull)
+            move = np.linalg.lstsq(normal + damping * np.diag(np.diag(normal)), -pull, rcond=None)[0]
             new = missed(z + move)
             moved = bool(new @ new < left @ left)
             damping *= 0.1 if moved else 10.0
