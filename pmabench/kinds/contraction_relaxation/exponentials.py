@@ -131,8 +131,12 @@ def steps_of(trials: Iterable[tuple[Samples, TrialData]], lift: float) -> list[S
     return [Step(*about, fit) for about, fit in known if fit is not None]
 
 
-def _moves(samples: Samples, trial: TrialData, lift: float) -> Iterator[tuple[tuple[Any, ...], Array, Array, float]]:
-    """Fields of `Step`, time from the command, contraction, and its start; for each step of a trial."""
+Move = tuple[tuple[int, str, float, float], Array, Array, float]
+"""Fields of a `Step` without its fit, times from the command [s], contraction, and contraction at the start [m]."""
+
+
+def _moves(samples: Samples, trial: TrialData, lift: float) -> Iterator[Move]:
+    """The steps of a trial."""
     commands = [c for c in trial.commands if c.output == "pressure" and c.phase in ("contract", "relax", "vent")]
     ends = [*(c.t for c in commands[1:]), float(samples.t[-1]) + 1e-9]
     t, x = samples.t[samples.ok], samples.x[samples.ok]
