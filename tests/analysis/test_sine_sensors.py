@@ -11,7 +11,7 @@ import pytest
 
 from pmabench.kinds.sinusoidal_displacement.reduction import reduce
 from tests.analysis.loop_rig import as_run
-from tests.analysis.sine_rig import Muscle51, value
+from tests.analysis.sine_rig import RATE, Muscle51, value
 
 A, MEAN, F_CE, S = 5e-3, 0.01, 275.0, 1.01e-3
 K, F_C = 6773.0, 6.0
@@ -32,7 +32,7 @@ def read(wave, frequency, t, kind="delay", tau=0.0):
     return np.interp(at, np.arange(-1, PLACES + 1), np.r_[filtered[-1], filtered, filtered[0]])
 
 
-def trial(index, frequency, cycles, B, behind, rate=500.0, swing=0j, pressure=3e5):
+def trial(index, frequency, cycles, B, behind, rate=RATE, swing=0j, pressure=3e5):
     """A sine of 5 mm about 10 mm; `behind` is channel -> (filter, tau [s]), `swing` the pressure's amplitude [Pa]."""
     template = Muscle51().trial(index, frequency, cycles, pressure=pressure)
     t = np.arange(round(cycles / frequency * rate)) / rate
@@ -71,9 +71,10 @@ def errors(found, B):
     return [(e, (e.value - right) / e.parts.combined) for e, right in known if right is not None]
 
 
-@pytest.mark.parametrize("B", [(400.0, 400.0), (1680.0, 2120.0)])
-@pytest.mark.parametrize("plan", [TWO, FOUR])
-@pytest.mark.parametrize("kind", ["first order", "second order"])
+@pytest.mark.parametrize(("kind", "plan", "B"), [
+    ("first order", FOUR, (400.0, 400.0)), ("second order", FOUR, (1680.0, 2120.0)),
+    ("second order", TWO, (400.0, 400.0)), ("first order", TWO, (1680.0, 2120.0)),
+])  # fmt: skip
 @pytest.mark.parametrize("channel", ["force", "displacement"])
 def test_a_filter_of_5_ms_on_force_or_displacement_is_in_all_intervals(channel, kind, plan, B):
     """B was up to 1.5 half widths off, W and H 1.6: a filter counted to first order, and of the force only."""
@@ -107,7 +108,7 @@ def test_a_filter_of_the_displacement_counts_where_that_of_the_force_is_declared
         assert abs(error) < 1.1, (e.symbol, e.at)
 
 
-@pytest.mark.parametrize("swing", [300j, -1000j, 3000.0])
+@pytest.mark.parametrize("swing", [300j, 3000.0])
 def test_a_pressure_that_swings_with_the_sine_is_in_the_intervals(swing):
     """At one pressure nothing tells its force: 3 kPa made K 50 half widths wrong, 0.3 kPa H at 0 Hz 9 and phi 2."""
     found = errors(reduced(FOUR, (400.0, 400.0), swing=swing), (400.0, 400.0))

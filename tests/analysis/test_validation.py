@@ -242,7 +242,7 @@ def test_a_filter_of_the_gauge_that_nobody_declared_has_no_small_interval(
     assert without_interval(found)
 
 
-@pytest.mark.parametrize(("off_x", "off_P"), [(1e-4, 0.0), (-1e-4, 0.0), (0.0, 1.5e3), (0.0, -1.5e3)])
+@pytest.mark.parametrize(("off_x", "off_P"), [(1e-4, 0.0), (0.0, -1.5e3)])
 def test_zeros_within_their_calibration_are_open(
     motion: tuple[np.ndarray, np.ndarray], off_x: float, off_P: float
 ) -> None:
