@@ -10,7 +10,7 @@ import numpy as np
 
 from pmabench.store.records import Command, TrialData
 
-RATE = 250.0
+RATE = 500.0
 
 
 @dataclass(frozen=True)

@@ -138,7 +138,6 @@ def test_a_departure_is_seen_with_its_reason_and_no_other_value_is_wrong(kind: s
         ("joint-torque", "eccentric", 0.5),
         ("joint-step", "angle-lag", 1.0),
         ("joint-step", "noisy", 1.0),
-        ("platform-step", "shaking", 0.5),
         ("platform-step", "gyroscope-bias", 0.5),
         ("mass-flow", "zero-drift", 1.0),
         ("mass-flow", "slip", 1.0),

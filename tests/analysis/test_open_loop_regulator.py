@@ -16,7 +16,7 @@ from pmabench.store.records import Command, TrialData
 from tests.analysis.loop_rig import TS, as_run
 
 GAIN, DEAD, TAU = 0.1466e-6, 0.040, 0.247
-BIAS, STEP, HOLD, FIRST = 220e3, 20e3, 2.5, 2.0
+BIAS, STEP, HOLD, FIRST = 220e3, 20e3, 2.0, 2.0
 VALUES = [STEP, 0.0, -STEP, 0.0] * 3
 NONE = 1e-6
 """A lag that does nothing [s]."""

@@ -11,7 +11,7 @@ import pytest
 
 from pmabench.kinds.sinusoidal_displacement.reduction import reduce
 from tests.analysis.loop_rig import as_run
-from tests.analysis.sine_rig import RATE, Muscle51, value
+from tests.analysis.sine_rig import Muscle51, value
 
 A, MEAN, F_CE, S = 5e-3, 0.01, 275.0, 1.01e-3
 K, F_C = 6773.0, 6.0
@@ -32,7 +32,7 @@ def read(wave, frequency, t, kind="delay", tau=0.0):
     return np.interp(at, np.arange(-1, PLACES + 1), np.r_[filtered[-1], filtered, filtered[0]])
 
 
-def trial(index, frequency, cycles, B, behind, rate=RATE, swing=0j, pressure=3e5):
+def trial(index, frequency, cycles, B, behind, rate=500.0, swing=0j, pressure=3e5):
     """A sine of 5 mm about 10 mm; `behind` is channel -> (filter, tau [s]), `swing` the pressure's amplitude [Pa]."""
     template = Muscle51().trial(index, frequency, cycles, pressure=pressure)
     t = np.arange(round(cycles / frequency * rate)) / rate

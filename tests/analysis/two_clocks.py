@@ -14,6 +14,7 @@ from pmabench.store.writer import RunWriter
 
 OFFSET, DRIFT = 0.020, 50e-6
 """Of the second device's clock: time of the run = (1 + DRIFT) device time + OFFSET."""
+RATE = 500.0
 BATCH = 25
 QUANTITIES = {"pressure": "pressure", "displacement": "length", "force": "force", "pressure_command": "pressure"}
 
@@ -27,12 +28,11 @@ def record(
     jitter: float = 2e-3,
     reported: dict[str, float] | None = None,
     lag: dict[str, float] | None = None,
-    rate: float = 500.0,
 ) -> RunData:
     """The run, read again. `second`: channels of the second device; none: all are of one.
 
     Its samples come in up to some `jitter` [s] late, a batch at a time; with `told` (offset, drift, uncertainty) an
-    event says what its clock is instead. `lag`: sensor lags [s]. `rate` [Hz] is that of the trials.
+    event says what its clock is instead. `lag`: sensor lags [s].
     """
     rng = np.random.default_rng(7)
     manifest = {"kind": kind, "simulated": True, "specimen": {"type": "MAS-20", "serial": "A017"}, "bench": "rig"}
@@ -41,7 +41,7 @@ def record(
     devices = {"daq": [name for name in names if name not in second], "cell": [n for n in names if n in second]}
     devices = {device: mine for device, mine in devices.items() if mine}
     for device, mine in devices.items():
-        writer.open_stream(device, [_column(name, device, (lag or {}).get(name, 0.0)) for name in mine], rate)
+        writer.open_stream(device, [_column(name, device, (lag or {}).get(name, 0.0)) for name in mine], RATE)
     if reported is not None:
         writer.event("clock", 0.0, stream="cell", **reported)
     for trial in trials:
