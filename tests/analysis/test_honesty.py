@@ -93,7 +93,7 @@ CASES: dict[str, Callable[[Path], Analysis]] = {
     "static, repeats": lambda _: static_load.reduce([static(100.0, 200.0, repeats=2)]),
     "one sine": lambda _: sine.reduce([sines(1.0)]),
     "two sines": lambda _: sine.reduce([sines(0.5, 3.0)]),
-    "sines": lambda _: sine.reduce([sines(0.1, 0.5, 1.0, 3.0, repeats=2)]),
+    "sines": lambda _: sine.reduce([sines(0.5, 1.0, 3.0, repeats=2)]),
     "ultimate gain": lambda _: ultimate_gain.reduce([as_run("ultimate-gain", [clean()[0]])]),
     "isometric": lambda folder: isometric.reduce(old("isometric/*.csv", "isometric.yaml", folder)),
     "one isometric": lambda folder: isometric.reduce(old("isometric/*.csv", "isometric.yaml", folder)[:1]),
