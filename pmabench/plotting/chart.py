@@ -127,7 +127,7 @@ class Chart:
     title: str = ""
     levels: tuple[Level, ...] = ()
     ends: Sequence[float | None] = (None,) * 4
-    """Limits x0, x1, y0, y1 where they are not to follow from the data; lines are cut at them."""
+    """Limits x0, x1, y0, y1 where they are not to follow from the data; lines are cut at y0 and y1."""
     x_ticks: tuple[float, ...] = ()
     """Ticks of the x axis; empty: round numbers."""
     log: bool = False
@@ -451,8 +451,8 @@ def _line(frame: _Frame, series: Series) -> list[str]:
 
 def pieces(chart: Chart, series: Series, most: int = STATIC, near: float = NEAR) -> list[tuple[Array, Array]]:
     """The parts of a line, inside the axes, in coordinates of the drawing, without points that lie on it anyway."""
-    frame, stride = _Frame(chart), max(1, -(-len(series.x) // most))
-    x, y = _inside(series.x[::stride], series.y[::stride], frame.y0, frame.y1)
+    frame, rows = _Frame(chart), _thinned(len(series.x), most)
+    x, y = _inside(series.x[rows], series.y[rows], frame.y0, frame.y1)
     known = np.isfinite(x) & np.isfinite(y)
     found = []
     for piece in np.split(np.arange(len(x)), np.flatnonzero(~known)):
@@ -467,10 +467,16 @@ def pieces(chart: Chart, series: Series, most: int = STATIC, near: float = NEAR)
 def rows_needed(chart: Chart, series: Series) -> NDArray[np.intp]:
     """Rows of a series for the data of a page: evenly thinned, of a line those that a reader can see."""
     most = MOST_DOTS if series.mark == "." else ceil(POINTS * chart.width)
-    rows = np.arange(0, len(series.x), max(1, -(-len(series.x) // most)))
+    rows = _thinned(len(series.x), most)
     if series.mark or series.half is not None:
         return rows
     return rows[needed(*_Frame(chart).at(series.x[rows], series.y[rows]), NEAR / 3)]
+
+
+def _thinned(count: int, most: int) -> NDArray[np.intp]:
+    """Every nth of `count` rows, at most so many, and the last one."""
+    rows = np.arange(0, count, max(1, -(-count // most)))
+    return np.unique(np.append(rows, count - 1)) if count else rows
 
 
 def _inside(x: Array, y: Array, low: float, high: float) -> tuple[Array, Array]:
@@ -492,6 +498,8 @@ def needed(x: Array, y: Array, near: float) -> NDArray[np.intp]:
     Each part between two kept points is cut where it is farthest from its chord, until none is too far (Ramer 1972).
     """
     every = np.arange(len(x))
+    if len(x) < 3:
+        return every
     unknown = np.flatnonzero(~np.isfinite(x + y))
     kept = np.unique(np.clip([0, len(x) - 1, *unknown, *(unknown - 1), *(unknown + 1)], 0, len(x) - 1))
     while len(kept) < len(x):
@@ -572,7 +580,7 @@ def _names(frame: _Frame) -> list[str]:
     for first in (False, True):
         named: list[tuple[float, float, Series]] = []
         for series in frame.chart.shown:
-            known = np.flatnonzero(np.isfinite(series.y))
+            known = np.flatnonzero(np.isfinite(series.x + series.y))
             if series.label and len(known) and series.named_first == first:
                 place = known[[int(np.argmin(series.x[known]) if first else np.argmax(series.x[known]))]]
                 across, down = frame.at(series.x[place], series.y[place])

@@ -42,7 +42,12 @@ class Picture:
     @property
     def wide(self) -> bool:
         """Whether it is as wide as a page."""
-        return sum(chart.width for chart in self.rows[0]) > COLUMN
+        return sum(chart.width for chart in self.longest) > COLUMN
+
+    @property
+    def longest(self) -> tuple[Chart, ...]:
+        """Its row of most charts."""
+        return max(self.rows, key=len)
 
     @property
     def charts(self) -> list[Chart]:
@@ -57,7 +62,7 @@ class Picture:
     @property
     def layout(self) -> str:
         """How its charts may be arranged where there is little room: only those with all their labels one by one."""
-        if len(self.rows[0]) == 1:
+        if len(self.longest) == 1:
             return "column"
         return "across" if len(self.rows) == 1 and all(chart.y_named for chart in self.charts) else "grid"
 

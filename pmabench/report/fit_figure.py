@@ -74,8 +74,8 @@ def _curves(
     x_label, less = x_unit.label(over), f"apart [{unit.unit}]" if unit.unit else "apart"
     zero = (Level(0.0, color=FAINT, dashed=False),)
     return [
-        Chart(x_label, unit.label(fit.output), (*lines, *marks), WIDTH, UPPER, "", legend=True, title=title),
-        Chart(x_label, less, tuple(apart), WIDTH, LOWER, "", legend=True, levels=zero, y_ticks=4),
+        Chart(x_label, unit.label(fit.output), (*lines, *marks), WIDTH, UPPER, legend=True, title=title),
+        Chart(x_label, less, tuple(apart), WIDTH, LOWER, legend=True, levels=zero, y_ticks=4),
     ]
 
 
@@ -86,4 +86,4 @@ def _measured_over_computed(fit: ModelFit, title: str, unit: Shown) -> Chart:
         Series("", fit.computed / unit.scale, fit.measured / unit.scale, BLUE, "."),
     )
     labels = unit.label(f"{fit.output}, fitted"), unit.label(f"{fit.output}, measured")
-    return Chart(*labels, series, WIDTH, UPPER + LOWER, "", title=title)
+    return Chart(*labels, series, WIDTH, UPPER + LOWER, title=title)

@@ -16,9 +16,13 @@ from pmabench.plotting.chart import (
     limits,
     needed,
     pieces,
+    rows_needed,
     small_multiples,
 )
 from pmabench.plotting.looks import BLUE, CROSSES, MARKS, SHAPES
+from pmabench.plotting.pictures import of_charts
+from pmabench.plotting.wording import Frame
+from pmabench.report.certificate.interactive import chart_data
 from tests.report.test_svg import places
 
 T = np.linspace(0, 10, 700)
@@ -52,6 +56,33 @@ def test_a_loop_is_closed_and_keeps_its_turning_points():
     loop = closed(Series("", np.sin(angle), np.cos(angle), BLUE))
     (across, down) = pieces(Chart("x", "y", (loop,)), loop)[0]
     assert (across[0], down[0]) == pytest.approx((across[-1], down[-1]))
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 3, 4 * STATIC + 2])
+@pytest.mark.parametrize("mark", ["", "o", "."])
+def test_first_and_last_point_stay(count, mark):
+    series = Series("", np.arange(float(count)), np.sin(np.arange(float(count))), BLUE, mark)
+    chart = Chart("x", "y", (series,))
+    assert [*rows_needed(chart, series)[[0, -1]]] == [0, count - 1] if count else not len(rows_needed(chart, series))
+    for across, _ in [] if mark else pieces(chart, series):
+        assert len(across) < STATIC + 3
+        assert np.ptp(across) == pytest.approx(np.ptp(pieces(chart, series, count, 0.0)[0][0]), abs=1e-6)
+
+
+def test_a_name_is_at_a_point_that_has_both_coordinates():
+    x = np.append(T[:-1], np.nan)
+    named = Chart(
+        "t", "x", (Series("curve", x, T, BLUE), Series("nothing", x, np.where(np.isfinite(x), np.nan, 1), BLUE))
+    )
+    assert ">curve<" in drawn(named)
+    assert "nan" not in drawn(named)
+
+
+def test_the_longest_row_says_how_wide_a_picture_is():
+    picture = of_charts([[line(T)], [line(T), line(T)]], "", "", "", Frame([{"a": "1"}]), simulated=False)
+    assert picture.wide
+    assert picture.layout == "grid"
+    assert len(chart_data([(1, picture)])[0]["widths"]) == 2
 
 
 def test_a_line_ends_where_it_leaves_the_axes():

@@ -121,6 +121,15 @@ def test_nothing_acts_on_the_page(content):
         assert " ".join(clean(payload, 300).split())[:40] in shown or "{" in payload or "_" in payload
 
 
+@pytest.mark.parametrize("analysis", samples.all_analyses(), ids=lambda one: one.kind)
+def test_columns_that_share_no_row_make_a_page(analysis):
+    one = np.array([1.0, 2.0, np.nan, np.nan])
+    traces = [
+        replace(t, columns={name: one[:: -1 if n else 1] for n, name in enumerate(t.columns)}) for t in analysis.traces
+    ]
+    assert "</html>" in page_of(content_of([replace(analysis, traces=tuple(traces))], []))
+
+
 def test_nothing_acts_in_the_workbook(content):
     book = openpyxl.load_workbook(io.BytesIO(workbook_bytes(content, analyses())))
     texts = 0

@@ -4,9 +4,16 @@ import io
 import re
 from dataclasses import astuple, replace
 
+import numpy as np
 import pypdf
 import pytest
 
+from pmabench.plotting.chart import Chart, Series
+from pmabench.plotting.looks import BLUE, BROWN
+from pmabench.plotting.pictures import of_charts
+from pmabench.plotting.wording import Frame
+from pmabench.report.certificate.interactive import chart_data
+from pmabench.report.document.content import content_of, page_of
 from pmabench.store.analyses.results import Parts
 
 from . import samples
@@ -111,8 +118,6 @@ def test_the_certificate_is_two_sheets_and_nothing_is_cut(browser, pages, tmp_pa
 
 def test_appendices_that_are_open_are_printed(browser, tmp_path):
     path = tmp_path / "long.html"
-    from pmabench.report.document.content import content_of, page_of
-
     path.write_text(page_of(content_of([samples.static_load()], []), long=True), encoding="utf-8")
     page = browser.open(path.as_uri())
     printed = sheets(page, tmp_path / "p.pdf")
@@ -173,6 +178,63 @@ def test_curves_are_drawn_anew_with_values_zoom_and_methods(browser, pages):
     page.wait("document.querySelectorAll('.drawn').length === document.querySelectorAll('.still').length")
     assert page.problems == []
     page.close()
+
+
+WATCHED = """(() => {
+  let made;
+  window.plots = []; window.texts = [];
+  Object.defineProperty(window, 'uPlot', {get: () => made, set: plot => { made = new Proxy(plot, {
+    construct: (of, given) => { const one = new of(...given); plots.push(one); return one; }}); }});
+  const write = CanvasRenderingContext2D.prototype.fillText;
+  CanvasRenderingContext2D.prototype.fillText = function (text, ...at) { texts.push(text); write.call(this, text, ...at); };
+})()"""
+"""Keeps the plots and the texts that are written on them where a test finds them."""
+
+
+def test_zoom_holds_a_straight_line_its_name_and_the_ticks(browser, tmp_path):
+    """Straight parts are sent as their ends. At 6 to 7 there are x, 1, and -x/2 and -x of a loop; at 20 to 50 10 log10(x)."""
+    x, f = np.linspace(0, 10, 300), np.geomspace(1, 100, 300)
+    loop = Series("", np.append(x, x[::-1]), np.append(-x / 2, -x[::-1]), BROWN)
+    flat = Series("flat", x, np.full(300, 1.0), BROWN, ".")
+    charts = [
+        Chart("x [mm]", "y [N]", (Series("straight", x, x, BLUE), flat, loop)),
+        Chart("f [Hz]", "K [N]", (Series("decades", f, 10 * np.log10(f), BLUE),), log=True, x_ticks=(1.0, 30.0, 100.0)),
+        Chart("x [mm]", "z [N]", (Series("kept", x, x, BLUE), Series("other", x, -x, BROWN, method="m")), legend=True),
+    ]
+    assert all(len(one["x"]) <= 4 for one in chart_series(charts) if "mark" not in one)
+    content = content_of([samples.static_load()], [])
+    picture = of_charts([charts], "Lines", "", "lines", Frame([{"a": "1"}]), simulated=False)
+    path = tmp_path / "zoom.html"
+    path.write_text(page_of(replace(content, front=[replace(content.front[0], picture=picture)])), encoding="utf-8")
+    page = browser.open("about:blank", width=1100)
+    page.send("Page.addScriptToEvaluateOnNewDocument", source=WATCHED)
+    page.go(path.as_uri())
+    page.wait("document.querySelector('.drawn') !== null && window.plots.length === 3")
+    place = page.centre("#figure-1 .chart:nth-child(2) .u-over")
+    page.mouse("mouseMoved", *place)
+    page.wait("document.querySelector('#figure-1 .values b') !== null")
+    said = [float(text) for text in re.findall(r"[\d.]+", page.text("#figure-1 .values").replace("\u2009", " "))]
+    assert said[1] == pytest.approx(10 * np.log10(said[0]), abs=0.05)
+    page.run("texts.length = 0")
+    page.run("plots[0].setScale('x', {min: 6, max: 7}), plots[1].setScale('x', {min: 20, max: 50}), 0")
+    page.wait("texts.includes('straight') && texts.includes('decades')")
+    scales = page.run("plots.map(plot => [plot.scales.y.min, plot.scales.y.max])")
+    assert -8 < scales[0][0] < -7 < 7 < scales[0][1] < 8
+    assert scales[1] == pytest.approx(10 * np.log10([20, 50]), abs=0.3)
+    assert page.run("plots[1].axes[0]._splits") == [30]
+    page.run("plots[1].setScale('x', {min: 40, max: 50}), 0")
+    page.wait("plots[1].axes[0]._splits.join() === '40,50'")
+    assert not page.run("texts.includes('other')")
+    page.click("#figure-1 .controls button:nth-of-type(2)")
+    page.wait("texts.includes('other')")
+    assert not page.run("texts.includes('kept')"), "that one is in the strip above"
+    assert page.problems == []
+    page.close()
+
+
+def chart_series(charts):
+    picture = of_charts([charts], "", "", "", Frame([{"a": "1"}]), simulated=False)
+    return [series for chart in chart_data([(1, picture)])[0]["charts"] for series in chart["series"]]
 
 
 def test_without_scripts_every_chart_is_a_picture(browser, pages):

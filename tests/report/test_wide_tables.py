@@ -55,6 +55,11 @@ def test_columns_of_one_symbol_stay_together():
     assert [list(part.frame.columns[1:]) for part in parts] == [heads[:6], heads[6:]]
 
 
+def test_no_single_column_is_left_over():
+    parts = narrow(Table("", frame({"m": [f"c{n} [N]" for n in range(8)]}).without("method")))
+    assert [len(part.frame.columns) - 1 for part in parts] == [6, 2]
+
+
 def test_a_table_that_fits_is_left_alone():
     whole = Table("Values", frame({"a": ["K [N/mm]"], "b": ["H [N]"]}))
     assert narrow(whole) == [whole]

@@ -62,7 +62,7 @@ def chart_data(numbered: Sequence[tuple[int, Picture]]) -> list[dict[str, Any]]:
     return [
         {
             "n": n,
-            "widths": [round(chart.width, 1) for chart in picture.rows[0]],
+            "widths": [round(chart.width, 1) for chart in picture.longest],
             "layout": picture.layout,
             "charts": [
                 _chart(chart) | {"column": column} for row in picture.rows for column, chart in enumerate(row, start=1)

@@ -179,7 +179,7 @@ def write_page(content: Content, path: Path, *, long: bool = False) -> Path:
 
 def page_of(content: Content, *, long: bool = False) -> str:
     """The content as an HTML page: two pages, and appendices, which are folded, or open and printed with `long`."""
-    charts = chart_data([(item.n, item.picture) for item in content.figures if item.picture.rows])
+    charts = chart_data([(item.n, item.picture) for item in content.figures])
     more = {"levels": LEVELS, "long": long, "charts": charts, "assets": assets()}
     return render("report.html.j2", vars(content) | more)
 

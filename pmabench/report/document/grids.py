@@ -110,18 +110,26 @@ def narrow(table: Table) -> list[Table]:
     values = [c for c in table.frame.columns if c not in heads]
     if _width(table.frame, values) <= MOST:
         return [table]
+    tries = [_chunks(table.frame, values, most) for most in (MOST, 6.0, 5.0, 4.0)]
+    even = (found for found in tries if len(found) == len(tries[0]) and min(map(len, found)) > 1)
+    chunks = next(even, tries[0])  # if possible, none of a single column
+    captions = [table.caption, *[f"{table.caption} (continued)".lstrip()] * (len(chunks) - 1)]
+    return [_part(table, keys, chunk, caption) for chunk, caption in zip(chunks, captions, strict=True)]
+
+
+def _chunks(frame: Frame, values: Sequence[str], most: float) -> list[list[str]]:
+    """Columns of values, in order, in groups up to a width; those of one symbol together where they fit."""
     chunks: list[list[str]] = []
     for symbol in dict.fromkeys(value.partition(" [")[0] for value in values):
         alike = [value for value in values if value.partition(" [")[0] == symbol]
-        if chunks and _width(table.frame, [*chunks[-1], *alike]) <= MOST:
+        if chunks and _width(frame, [*chunks[-1], *alike]) <= most:
             chunks[-1] += alike
             continue
         for value in alike:
-            if value == alike[0] or _width(table.frame, [*chunks[-1], value]) > MOST:
+            if value == alike[0] or _width(frame, [*chunks[-1], value]) > most:
                 chunks.append([])
             chunks[-1].append(value)
-    captions = [table.caption, *[f"{table.caption} (continued)".lstrip()] * (len(chunks) - 1)]
-    return [_part(table, keys, chunk, caption) for chunk, caption in zip(chunks, captions, strict=True)]
+    return chunks
 
 
 def _width(frame: Frame, columns: Sequence[str]) -> float:

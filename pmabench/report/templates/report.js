@@ -75,13 +75,18 @@
 
   function reach(chart, on, low, high) {  // least and largest y between two x, with room
     var near = 1e-4 * (chart.range[1] - chart.range[0]);
-    var whole = low == null || (low <= chart.range[0] + near && high >= chart.range[1] - near), ends = whole ? chart.range.slice(2) : [];
+    var whole = low <= chart.range[0] + near && high >= chart.range[1] - near, ends = whole ? chart.range.slice(2) : [];
     shown(chart, on).forEach(function (s) {
       if (whole && !s.method) return;
       s.x.forEach(function (x, i) {
         if (s.y[i] === null || x < low || x > high) return;
         var half = s.half && s.half[i] || 0;
         ends.push(s.y[i] - half, s.y[i] + half);
+      });
+      if (!s.mark) [low, high].forEach(function (x) {  // a straight line may have no point between them
+        for (var i = 1; i < s.x.length; i++)
+          if (s.y[i - 1] !== null && s.y[i] !== null && (s.x[i - 1] - x) * (s.x[i] - x) < 0)
+            ends.push(between(s, i - 1, i, x, chart.log));
       });
     });
     if (!ends.length) return chart.range.slice(2);
@@ -162,9 +167,11 @@
         if (s.hollow) ctx.lineWidth = 1.3 * p;
         mark(ctx, s, a, b, r);
       });
-      var text = chart.legend ? "" : s.method ? s.said : s.label;
+      var text = s.method ? s.said : chart.legend ? "" : s.label, right = u.scales.x.max;
+      var end = last === null ? null : [s.x[last], s.y[last]], cut = s.mark || s.hidden ? null : at(s, right, chart.log);
+      if (cut && cut[0] === right) end = cut;
       if (text && s.first) firsts.push({ text: text, y: Y(s.y[0]), color: s.name });
-      else if (text && last !== null) names.push({ text: text, x: X(s.x[last]), y: Y(s.y[last]), color: s.name });
+      else if (text && end) names.push({ text: text, x: X(end[0]), y: Y(end[1]), color: s.name });
     });
     ctx.restore();
     [names, firsts].forEach(function (list) {
@@ -196,7 +203,12 @@
     write(ctx, chart.stamp, edge, head, 10.5 * p, STAMP, true, true);
   }
 
-  function at(s, x) {  // [x, y, half] of a line at x, or of the nearest dot
+  function between(s, a, b, x, log) {  // y of the straight line between two points
+    var place = function (v) { return log ? Math.log(v) : v; }, from = place(s.x[a]);
+    return s.y[a] + (place(x) - from) / (place(s.x[b]) - from || 1) * (s.y[b] - s.y[a]);
+  }
+
+  function at(s, x, log) {  // [x, y, half] of a line at x, or of the nearest dot
     var best = -1;
     for (var i = 0; i < s.x.length; i++)
       if (s.y[i] !== null && (best < 0 || Math.abs(s.x[i] - x) < Math.abs(s.x[best] - x))) best = i;
@@ -205,9 +217,8 @@
     var first = Math.min.apply(null, s.x.slice(0, 1)), end = s.x[s.x.length - 1];
     if (x < first || x > end) return null;
     var next = s.x[best] < x ? best + 1 : best - 1;
-    if (next < 0 || next >= s.x.length || s.y[next] === null) return [x, s.y[best], null];
-    var share = (x - s.x[best]) / (s.x[next] - s.x[best] || 1);
-    return [x, s.y[best] + share * (s.y[next] - s.y[best]), null];
+    if (next < 0 || next >= s.x.length || s.y[next] === null) return [s.x[best], s.y[best], null];
+    return [x, between(s, best, next, x, log), null];
   }
 
   function values(line, charts, chart, on, x, y) {
@@ -218,7 +229,7 @@
       var lines = shown(c, on).filter(function (s) { return !s.mark && !s.hidden; });
       var from = lines.length ? lines : shown(c, on).filter(function (s) { return s.mark && s.mark !== "."; });
       from.forEach(function (s) {
-        var found = at(s, x), span = c.range[1] - c.range[0];
+        var found = at(s, x, c.log), span = c.range[1] - c.range[0];
         if (!found || Math.abs(found[0] - x) > 0.08 * span) return;
         if (s.mark) place = found[0];
         var half = found[2] ? " \u00b1\u2009" + number(+(+found[2]).toPrecision(2)) : "";
@@ -241,6 +252,12 @@
       return { width: wide, height: Math.round(Math.max(charts.length > 1 ? 170 : 270, Math.min(wide * chart.ratio, 420))) };
     };
     var ticks = function (u, splits) { return splits.map(number); };
+    var span = chart.range.slice(0, 2);  // of x as it is about to be: the range of y is asked for before u.scales has it
+    var within = function (u) {
+      var ends = [u.scales.x.min, u.scales.x.max];
+      var found = chart.ticks.filter(function (x) { return x >= ends[0] && x <= ends[1]; });
+      return found.length ? found : ends;
+    };
     var axis = { stroke: QUIET, font: "11px Inter, sans-serif", values: ticks };
     var options = Object.assign(size(), {
       padding: [chart.title ? 38 : 22, chart.sides ? 1.4 * chart.sides[1] : 12 + 6.4 * longest, chart.named ? 2 : 6, 2],
@@ -250,15 +267,15 @@
       scales: {
         x: { time: false, distr: chart.log ? 3 : 1, range: function (u, low, high) {
           var whole = low == null || high - low >= 0.999 * (xs[xs.length - 1] - xs[0]);
-          return whole ? chart.range.slice(0, 2) : [low, high];
+          return span = whole ? chart.range.slice(0, 2) : [low, high];
         } },
-        y: { range: function (u) { return reach(chart, on, u.scales.x.min, u.scales.x.max); } }
+        y: { range: function () { return reach(chart, on, span[0], span[1]); } }
       },
       axes: [
         Object.assign({ grid: { show: false }, ticks: { stroke: QUIET, width: 1, size: 3 }, gap: 3, space: 60,
           border: { show: true, stroke: QUIET, width: 1 }, label: chart.named ? chart.x : undefined, labelSize: 18,
           labelFont: "12px Inter, sans-serif", size: chart.named ? 24 : 8 }, axis,
-          chart.ticks.length ? { splits: function () { return chart.ticks; }, filter: function (u, at) { return at; } } : {},
+          chart.ticks.length ? { splits: within, filter: function (u, at) { return at; } } : {},
           chart.named ? {} : { values: function (u, splits) { return splits.map(function () { return ""; }); } }),
         Object.assign({ grid: { stroke: GRID, width: 1 }, ticks: { show: false }, gap: 6 + gutter, space: 34,
           size: function (u, texts) {
