@@ -155,7 +155,8 @@ def of_one_trial(run: RunData, trial: TrialData, expected: Expected | None, quic
     withheld = [e for e in analysis.estimates if e.withheld and e not in shown]
     reasons = [one.reason for one in analysis.dropped]
     reasons += [e.note for e in shown if e.value is None] + [f"{e.symbol}: {e.note}" for e in withheld]
-    halves = [[half for half in vars(e.parts).values() if half] for e in shown]
+    own = [vars(replace(e.parts, calibration=None)) for e in shown]  # repeats share the calibration
+    halves = [[half for half in parts.values() if half] for parts in own]
     found = [Measured(e.symbol, e.quantity, e.value, noise=hypot(*half)) for e, half in zip(shown, halves, strict=True)]
     return found, reasons
 
