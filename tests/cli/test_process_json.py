@@ -34,11 +34,16 @@ RUNS = {
     "contraction-relaxation-paper1": (
         "mock-dmsp-ideal", "--specimen", "dmsp-40-305", "--set", "sweep.matrix.pressure=[2 bar, 3 bar, 4 bar]",
     ),
-    "sinusoidal-displacement": ("mock-actuator", *WEIGHTS, "--set", "sweep.repeat.count=1"),
+    "sinusoidal-displacement": (
+        "mock-actuator", *WEIGHTS, "--set", "sweep.repeat.count=1", "--set", "sweep.matrix.frequency=[0.5 Hz, 3 Hz]",
+    ),
     "ultimate-gain-open-loop": ("mock-linear", *WEIGHTS),
     "ultimate-gain-relay": ("mock-linear", *WEIGHTS, "--set", "sweep.repeat.count=1"),
     "isobaric-ramp": ("mock-daerden", *DRIVEN, "--set", "sweep.matrix.pressure=[300 kPa]"),
-    "step-displacement": ("mock-daerden", *DRIVEN, "--set", "sweep.matrix.step=[5 mm]"),
+    "step-displacement": (
+        "mock-daerden", *DRIVEN, "--set", "sweep.matrix.step=[5 mm]", "--set", "sweep.matrix.pressure=[4 bar]",
+        "--set", "trial.cycles=2",
+    ),
     "relaxation": (
         "mock-daerden-relaxing", *DRIVEN, "--set", "sweep.matrix.pressure=[5 bar]", "--set", "trial.hold=60 s",
         "--set", "trial.rest=60 s",
