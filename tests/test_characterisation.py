@@ -154,7 +154,7 @@ def test_serres2009_is_within_its_tolerances(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["mock-ideal", "mock"])
 def test_static_load_gives_the_line_from_both_sides(tmp_path, name):
-    found = analysed(tmp_path, "static-load", name, settings=[("sweep.repeat.count", "2")])
+    found = analysed(tmp_path, "static-load", name, settings=[("sweep.repeat.count", "1")])
     intercept, slope = line(found, "F_ce", "static-mean")
     for P in PRESSURES:
         true = 1.08 * P - 49
@@ -181,7 +181,7 @@ def test_paper_0s_own_order_finds_the_set_down_only(tmp_path):
     ("name", "K_off", "B_off", "F_c"), [("mock-actuator-ideal", 0.005, 0.02, 0.0), ("mock-actuator", 0.01, 0.05, 6.0)]
 )
 def test_sines_give_stiffness_damping_and_friction(tmp_path, name, K_off, B_off, F_c):
-    found = analysed(tmp_path, "sinusoidal-displacement", name, settings=[("sweep.repeat.count", "2")])
+    found = analysed(tmp_path, "sinusoidal-displacement", name, settings=[("sweep.repeat.count", "1")])
 
     def pooled(symbol, method):
         return next(

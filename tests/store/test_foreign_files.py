@@ -18,7 +18,6 @@ import pytest
 from click.testing import CliRunner
 
 from pmabench.cli.main import main
-from pmabench.store.importers import apart
 from pmabench.store.reader import open_run
 from pmabench.store.records import TrialData
 from tests.store.foreign.case import CONTRACTION, NAME, RATE, SLOPE, Case, Measured, clean, plain
@@ -34,12 +33,6 @@ CLOSE = {"pressure": 30.0, "force": 0.03}
 
 THRESHOLD = 'force_above: "??'
 """From which force on samples count is asked where it matters; here it does not."""
-
-
-@pytest.fixture(autouse=True, scope="module")
-def no_child_stays():
-    yield
-    apart.close_readers()
 
 
 @dataclass(frozen=True)
