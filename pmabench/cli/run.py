@@ -272,7 +272,7 @@ def continue_(ui: Ui, run: Path | None, out: Path, operator: str, because: str, 
     data = open_run(folder)
     left, what_next = _left(folder, data)
     tripped = _tripped(data)
-    ui.note(_happened(data, left, tripped))
+    ui.note(_happened(data, tripped))
     if tripped is not None and (code := _reset(tripped, operator, because, yes=yes)):
         return code
     if not left:
@@ -316,15 +316,16 @@ def _left(folder: Path, data: RunData) -> tuple[int, str]:
     return 0, f"pmabench process {typed(folder.resolve())}"
 
 
-def _happened(data: RunData, left: int, tripped: Any) -> str:
-    from pmabench.cli.runs import vented
+def _happened(data: RunData, tripped: Any) -> str:
+    from pmabench.cli.runs import trials_left, vented
 
     planned = int(data.manifest.get("trials_planned") or 0)
     why = str(data.manifest.get("why") or "")
     mark = "SIMULATED  " if data.simulated else ""
     head = f"{mark}{data.status.upper()}  {data.kind}, {short(Path(data.path))}" + (f": {why}" if why else "")
     lines = wrap(head, WIDTH, subsequent_indent="   ")
-    trials = f"{planned - left} of {planned} trials are done" if planned else "a run without trials"
+    done = planned - trials_left(data)
+    trials = f"{done} of {planned} trials are done" if planned else "a run without trials"
     guard = data.manifest.get("guard") or {}
     result = vented(data) or str((guard.get("vent") or {}).get("result") or "")
     lines.append(f"   {trials}; vent {result or 'not recorded'}")

@@ -314,13 +314,26 @@ class Rig:
         self.well()
         self.bench_clock = RealClock()
         self.device = self.build(self.record)
+        before = self._heard()
         identity = self.identity = self.call("open()", self.device.open, hung=HUNG).good(OPENS_WITHIN)
         if not isinstance(identity, Identity):
             raise Failed(f"open() gave {identity!r}; an Identity is expected")
+        if not identity.simulated and self._heard() == before:
+            device, self.device = self.device, None
+            self.call("close()", device.close).judged(COLLECTS_WITHIN)
+            raise Failed(
+                f"open() reached {identity.model or 'a device'} past the emulator, which sent nothing, and it gives "
+                "simulated=False: it may drive a muscle, and nothing is commanded. Let the driver open only the "
+                "address of its record"
+            )
         if armed and self.record.watchdog and isinstance(self.device, Watchdog):
             self.call("arm_watchdog()", self.device.arm_watchdog, self.record.watchdog).good()
             self._armed = True
         return identity
+
+    def _heard(self) -> int:
+        """How many pieces the emulator has sent so far."""
+        return sum(from_device for relay in self.relays for from_device, _ in relay.heard)
 
     def shut(self) -> None:
         """Close the driver, if there is one, and disarm its watchdog."""

@@ -216,6 +216,8 @@ def prepare(name: str) -> None:
     kind = registry.find(name)
     if kind and kind.live:
         kind.part("live")
+        if kind.live.startswith("pmabench.kinds.reduce:"):  # it evaluates a trial by the reduction
+            kind.part("reduction")
 
 
 def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:

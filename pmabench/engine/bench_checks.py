@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pmabench.base.errors import DeviceError, LimitTripped, PmaError, VerdictFailed
+from pmabench.base.errors import DeviceError, LimitTripped, PmaError
 from pmabench.base.quantities import show
+from pmabench.bench.driver_options import HARDWARE, driver_version
 from pmabench.bench.interface import UNPROVEN, CompiledBench, DeviceRecord, Identity, ProofTest
-from pmabench.bench.registry import HARDWARE, driver_version
 from pmabench.engine.acquire import Acquisition, Array, Samples, Stop
 from pmabench.engine.recorder import Recorder
 from pmabench.guard.owner import PATIENCE
@@ -347,8 +347,10 @@ UNDER_PRESSURE = 100e3
 """Rise of the pressure since the load was put on at which a muscle must contract [Pa]."""
 
 
-class LoadImplausible(VerdictFailed):
-    """Raised where load cell and plates do not agree, or the free end moves the wrong way."""
+class LoadImplausible(PmaError):
+    """Raised where load cell and plates do not agree, or the free end moves the wrong way: trials are left undone."""
+
+    exit_code = 4
 
 
 @dataclass(frozen=True)

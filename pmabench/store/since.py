@@ -220,7 +220,7 @@ def _listed(names: list[str]) -> str:
 READ = (files.MANIFEST, files.SEAL, files.NOTES_HEAD)
 PARTS = ("analysis", "base", "bench", "files", "kinds", "model", "plotting", "report", "store")
 """Packages whose code affects results and reports."""
-LIBRARIES = ("numpy", "scipy", "pandas", "pyarrow", "matplotlib", "jinja2")
+LIBRARIES = ("numpy", "scipy", "pandas", "pyarrow", "jinja2")
 GROUPS = ("pmabench.kinds", "pmabench.models", "pmabench.rules")
 """Groups of entry points through which other packages add code that affects results."""
 

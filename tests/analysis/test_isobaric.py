@@ -76,6 +76,23 @@ def test_a_muscle_of_three_elements_comes_back(of_mas, P, F_ce, K, B):
     assert not [e for e in of_mas.estimates if e.method == "mean-curve, turns left in"], "there is no reversal to fit"
 
 
+@pytest.mark.parametrize("share", [1.06, 0.97])
+@pytest.mark.parametrize("pressures", [(2e5, 4e5), (4e5,)])
+def test_a_pressure_off_its_command_is_in_every_interval_and_said(mas, share, pressures):
+    """Values were those at the measured pressure, named by the commanded one: 11 half widths off."""
+    trials = [t for t in mas.trials if t.point["pressure"] in pressures]
+    off = [replace(t, point={**t.point, "pressure": t.point["pressure"] / share}) for t in trials]
+    found = reduce([replace(mas, trials=tuple(off))])
+    for P in pressures:
+        kPa = P / share / 1e3
+        closed = {"F_ce": 1.08 * kPa - 49, "K": 5600 + kPa + 9.7e-3 * kPa**2, "B": 1150 + 2.5 * kPa}
+        for symbol, method in (("F_ce", "mean-curve"), ("K", "mean-curve"), ("B", "loop-gap")):
+            e = one(found, symbol, method, pressure=P / share)
+            assert e.ci95[0] <= closed[symbol] <= e.ci95[1], (symbol, P, e.value, e.ci95, closed[symbol])
+    said = [f.text for f in found.findings if f.level == "doubt" and "the regulator or the gauge is off" in f.text]
+    assert len(said) == len(pressures)
+
+
 def test_the_work_given_is_the_area_below_the_contracting_branch(of_mas):
     """(F_ce - K s/2 - B_c v) s over the stroke s = 20 mm, B_c = 1.52 N.s/mm at 200 kPa."""
     closed = (167.0 - 6188.0 * 0.01 - 1520.0 * 0.005) * 0.02

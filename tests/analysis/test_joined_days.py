@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pmabench.analysis.verdict.sessions import with_sessions
+from pmabench.analysis.verdict.checks import with_sessions
 from pmabench.kinds.reduce import reduce_runs
 from pmabench.store.analyses.results import Analysis, Estimate, Parts
 from pmabench.store.records import Command, TrialData

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -88,3 +89,24 @@ def test_quiet_campaigns_print_folders_and_why_they_ended(tmp_path):
     assert result.exit_code == 6
     assert result.stderr == ""
     assert sorted(result.stdout.splitlines()) == sorted(str(folder) for folder in (tmp_path / "o").glob("2*"))
+
+
+def test_a_bench_that_is_wired_wrongly_ends_it_and_what_is_left_is_done_later(tmp_path):
+    """Under pressure the displacement falls: the next run would be pressurised on the same bench."""
+    fixtures = Path(run_module.__file__).parents[2] / "fixtures" / "benches"
+    text = (fixtures / "mock.yaml").read_text().replace("seed: 1}", "seed: 1, errors: {displacement: {factor: -1}}}")
+    (tmp_path / "wrong.yaml").write_text(text)
+    (tmp_path / "calibrations").symlink_to(fixtures / "calibrations")
+    path = campaign(tmp_path, *[("wrong.yaml", LIFTS)] * 3)
+    result = run(path, tmp_path / "o")
+    (only,) = json.loads(result.stdout)["runs"]
+    assert (only["status"], only["exit_code"], result.exit_code) == ("error", 4, 4)
+    assert "the displacement falls" in only["why"]
+    went_on = CliRunner().invoke(main, ["continue", str(only["run"]), "--json"])
+    assert "0 of 1 trials are done" in went_on.stderr
+    assert "process" not in went_on.output
+    again = CliRunner().invoke(
+        main, ["campaign", str(path), "--yes", "--out", str(tmp_path / "o"), "--json", "--resume"]
+    )
+    (tried,) = json.loads(again.stdout)["runs"]
+    assert (tried["exit_code"], tried["run"]) != (0, only["run"])

@@ -5,13 +5,15 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
+from importlib import import_module
 from random import Random
+from typing import ClassVar
 
 import pytest
 from click.testing import CliRunner
 
 from pmabench.base.errors import DeviceError
-from pmabench.bench.interface import Truth
+from pmabench.bench.interface import Identity, Truth
 from pmabench.cli.main import main
 from pmabench.conformance import FAILED, PASSED, rig, run
 from pmabench.conformance.relay import KINDS, Hostile
@@ -58,6 +60,31 @@ def test_a_truth_file_that_lacks_the_device_is_the_reason_why_nothing_is_tried()
     (result,) = run(lacking, hostile=0, only=["life"])
     assert result.verdict == FAILED
     assert 'truths/ours.yaml: says nothing of the device "controller" of the bench' in result.why
+
+
+class Elsewhere(import_module(DRIVER.partition(":")[0]).ExampleController):
+    """Finds its device by itself: a real one, at which every command arrives."""
+
+    commanded: ClassVar[list] = []
+
+    def open(self):
+        return Identity("RegCo", "PR-10", "4711", "1.0")
+
+    def _command(self, *arguments):
+        self.commanded.append(arguments)
+
+    write = switch = ramp = sine = arm_watchdog = feed_watchdog = start = _command
+
+
+@pytest.mark.parametrize("check", ["life", "set-points", "valves", "watchdog"])
+def test_a_real_device_that_the_driver_finds_by_itself_is_not_commanded(check):
+    """A dump valve was energised and 558 kPa were commanded at a real regulator, and `life` passed."""
+    elsewhere = tried("example")
+    elsewhere = replace(elsewhere, record=replace(elsewhere.record, driver=f"{__name__}:Elsewhere"))
+    (result,) = run(elsewhere, hostile=0, only=[check])
+    assert result.verdict == FAILED
+    assert "open() reached PR-10 past the emulator" in result.why
+    assert Elsewhere.commanded == []
 
 
 def test_an_error_of_the_emulator_fails_its_check_and_the_others_go_on(monkeypatch):

@@ -8,20 +8,24 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import hypot, inf, sqrt
+from math import hypot, inf, isfinite, sqrt
 
 import numpy as np
 
 from pmabench.analysis.shared import student
 from pmabench.analysis.shared.samples import step_of
 from pmabench.base.quantities import show
-from pmabench.store.analyses.results import Estimate, Parts, Source, is_below_0, withhold
+from pmabench.store.analyses.results import Estimate, Finding, Parts, Source, is_below_0, withhold
 from pmabench.store.records import Array, RunData, TrialData
 
 MOST_HIDDEN = 0.02
 """Default share of a value above which a significant departure withholds it."""
 NEGLIGIBLE = 0.05
 """Share of a half width below which an effect is left out of the budget."""
+OFF = 0.02
+"""Share of a set pressure by which the measured one may be off it without a doubt; intervals hold it anyway."""
+STEEPER = 1.5
+"""Factor by which a value may change more with the pressure than to the nearest other pressure, or in proportion."""
 SURE = 0.9995
 """Probability of Student's t above which a change from cycle to cycle is significant."""
 NAMES = {
@@ -79,6 +83,26 @@ def weighed(e: Estimate, doubts: Iterable[Doubt], scale: float | None = None) ->
     base = e.budget or [Source(NAMES[part], part, "A" if part == "repeats" else "B", half) for part, half in named]
     budget = sorted((*base, *lines), key=lambda line: line.half or 0.0, reverse=True)
     return replace(e, parts=Parts(**halves), budget=tuple(budget))
+
+
+def off_command(off: float, pressure: float, value: float, over_P: float | None) -> float:
+    """Possible error of a value that is given for a set `pressure` from which the measured one is `off` [Pa].
+
+    `over_P` is its derivative by pressure [per Pa]; proportional where that is unknown.
+    """
+    slope = over_P if over_P is not None else value / pressure if pressure > 0 else 0.0
+    return STEEPER * abs(off * slope) if isfinite(off) else 0.0
+
+
+def off_command_findings(where: str, off: float, pressure: float) -> list[Finding]:
+    """A doubt where a measured pressure [Pa] is `off` a set one by more than `OFF` of it."""
+    if not abs(off) > OFF * pressure > 0:
+        return []
+    text = (
+        f"at {where} the pressure is measured {show(abs(off), 'pressure', 2)} {'above' if off > 0 else 'below'} the "
+        "command: the regulator or the gauge is off. Values are given for the command, and their intervals hold either"
+    )
+    return [Finding("doubt", text)]
 
 
 def more_than_squares(shifts: Sequence[float], rest: float) -> float:

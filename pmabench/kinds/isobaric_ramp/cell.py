@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.shared.form import off_command, off_command_findings
 from pmabench.analysis.shared.lines import Line, mean_of_cycles, weighted_line
 from pmabench.analysis.shared.ramp_loop import Loop
 from pmabench.analysis.shared.trials import thinned
@@ -96,6 +97,12 @@ class Cell:
     def pressure(self) -> float:
         """Set pressure [Pa]."""
         return self.at["pressure"]
+
+    @cached_property
+    def off(self) -> float:
+        """Mean measured pressure minus the set one [Pa]; 0 where it is not recorded."""
+        known = [m.loop.pressure for m in self.members if isfinite(m.loop.pressure)]
+        return float(np.mean(known)) - self.pressure if known else 0.0
 
     @property
     def middle(self) -> float:
@@ -239,6 +246,10 @@ class Cell:
         """Calibration part of a value whose derivative by the nominal pressure is `over_P` [per Pa]."""
         return scales.part_at(self.pressure, over_P if self.pressure > 0 else None, gains, offsets)
 
+    def off_command(self, value: float, over_P: float | None) -> float:
+        """Possible error of a value that is given for the set pressure; proportional where `over_P` is unknown."""
+        return off_command(self.off, self.pressure, value, over_P)
+
     def estimate(
         self, symbol: str, value: float | None, kind: tuple[str, str], method: str, at: Mapping[str, float],
         parts: Parts, note: str, n: int | None = None,
@@ -295,6 +306,7 @@ class Cell:
             found.append(Finding("fault", text))
         if self.one_speed:
             found.append(Finding("note", f"at {where}, {ONE_SPEED}"))
+        found += off_command_findings(where, self.off, self.pressure)
         for member in self.members:
             gap = abs(float(member.loop.middle_gap.mean()))
             worth = abs(member.loop.apart) * self.force_per_pressure(None)

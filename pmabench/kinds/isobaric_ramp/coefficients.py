@@ -60,7 +60,8 @@ def of_curve(cell: Cell, scales: Scales, near: Cell | None) -> list[Estimate]:
         part = cell.part(scales, gains, offsets, over_P)
         alone = (AT_SPEED if force else IN_A_RAMP) if cell.one_speed and method in OF_MEAN else ""
         within = abs(cell.gap.start) / 2 if alone and force else 0.0
-        parts = Parts(line.half_start, hypot(extra, within), part, 0.0)
+        off = cell.off_command(line.start, over_P)
+        parts = Parts(line.half_start, hypot(extra, within, off), part, 0.0)
         at = cell.at if method != LOCAL else {**cell.at, "contraction": round(float(place or 0.0), 7)}
         found.append(cell.estimate(symbol, line.start, kind, method, at, parts, sentences(note, alone)))
 
@@ -143,7 +144,7 @@ def _work(cell: Cell, scales: Scales, K: float, uneven: float, near: Cell | None
             over_P = cell.over_pressure(near, lambda cell, of=of: cell.over_speed(of).start)  # type: ignore[misc]
             offsets = {"force": stroke if symbol == "W_c" else 0.0}
             part = cell.part(scales, dict.fromkeys(by, value), offsets, over_P)
-            parts = Parts(half, extra, part, skewed)
+            parts = Parts(half, hypot(extra, cell.off_command(value, over_P)), part, skewed)
             yield cell.estimate(symbol, value, kind, GAP, here, parts, note, len(mine))
         each = [m.loop.given + m.loop.lost for m in mine]
         taken = float(np.mean([np.mean(one) for one in each]))
@@ -172,14 +173,16 @@ def _gap_lines(cell: Cell, scales: Scales, K: float, uneven: float, rising: floa
     slope_P = cell.over_pressure(near, lambda cell: cell.gap.slope)
     force = cell.part(scales, {"force": start}, {}, start_P)
     note = "gap at speed 0: true hysteresis"
-    H = cell.estimate("H", start, newton, GAP, still, Parts(line.half_start, uneven, force), note)
+    method = hypot(uneven, cell.off_command(start, start_P))
+    H = cell.estimate("H", start, newton, GAP, still, Parts(line.half_start, method, force), note)
     gains = {"force": slope / 2, "displacement": -slope / 2}
     both = cell.part(scales, gains, {}, None if slope_P is None else slope_P / 2)
     low, high = cell.speeds
     least = PROPORTIONAL * abs(start) / (high - low) / 2
-    parts = Parts(_halved(line.half_slope), hypot(least, rising / 2), both, K * cell.skew)
+    off = cell.off_command(slope, slope_P) / 2
+    parts = Parts(_halved(line.half_slope), hypot(least, rising / 2, off), both, K * cell.skew)
     B = cell.estimate("B", slope / 2, damping, GAP, cell.at, parts, sentences("(B_c + B_r)/2", few))
-    friction, said = Parts(_halved(line.half_start), uneven / 2, _halved(force)), "half the gap at speed 0"
+    friction, said = Parts(_halved(line.half_start), method / 2, _halved(force)), "half the gap at speed 0"
     F_c = cell.estimate("F_c", start / 2, newton, GAP, cell.at, friction, sentences(said, few))
     most = inf if B.value is None else B.value + (B.parts.combined or inf)
     why = f"B would be below {show(most, 'damping', 2)}; {SHRINKS}"
