@@ -37,7 +37,7 @@ RUNS = {
     "sinusoidal-displacement": (
         "mock-actuator", *WEIGHTS, "--set", "sweep.repeat.count=1", "--set", "sweep.matrix.frequency=[0.5 Hz, 3 Hz]",
     ),
-    "ultimate-gain-open-loop": ("mock-linear", *WEIGHTS),
+    "ultimate-gain-open-loop": ("mock-linear", *WEIGHTS, "--set", "sample_rate=200 Hz", "--set", "trial.open_loop.cycles=3"),
     "ultimate-gain-relay": (
         "mock-linear", *WEIGHTS, "--set", "sweep.repeat.count=1", "--set", "trial.relay.periods=8",
     ),
