@@ -244,7 +244,6 @@ def test_tune_says_what_cannot_be():
         "tune", "--ku", "7.1 bar/cm", "--tu", "9 s", "--dead-time", "40 ms", "--lag", "0.22 s", "--lag", "0.25 s"
     ).output
     assert "impossible for a linear loop" in out
-    assert "4.03 s" in out
 
 
 def test_tune_refuses_what_is_no_gain():

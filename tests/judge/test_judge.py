@@ -64,10 +64,10 @@ def test_half_the_step_changes_less_than_the_noise(muscle):
 @pytest.mark.parametrize("cause", ["creep", "several"])
 def test_what_a_trial_leaves_behind_is_in_the_next_one(cause):
     """Trials one after the other, each from the state that the one before left, as they are done at a bench."""
-    muscle, masses, targets = muscle_of(cause, 1.0, 3), np.array([26.0] * 2), [350e3, 200e3]
-    steps, pauses = [commands(P) for P in targets], np.full(2, 10.0)
-    together = hang(muscle, masses, steps, 12.0, pauses)
-    t = np.arange(12000 + 1) / 1000
+    muscle, masses, targets = muscle_of(cause, 1.0, 3), np.array([26.0] * 4), [500e3, 350e3, 500e3, 200e3]
+    steps, pauses = [commands(P) for P in targets], np.full(4, 10.0)
+    together = hang(muscle, masses, steps, 14.0, pauses)
+    t = np.arange(14000 + 1) / 1000
     crept, strained = np.zeros((len(muscle.times), 1)), np.zeros((len(muscle.slides), 1))
     for number, one in enumerate(steps):
         P = pressure(one, t)[:, None]
