@@ -205,7 +205,7 @@ def read_named_file(folder: Path, name: str, key: str) -> Document | str:
     Raises ValueError for a file that is elsewhere or cannot be read, InvalidFile for one that is no YAML.
     """
     path = _path_named(folder, name, key)
-    if path.suffix == ".yaml":
+    if key == MAP:
         return read_document(path)
     try:
         with path.open("rb") as stream:

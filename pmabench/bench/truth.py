@@ -1,7 +1,7 @@
 """Truth file of an emulated bench, and the truth of a rig as plain numbers.
 
-A truth file states what is really wired to which terminal, with scales from
-the data sheets: they do not come from the bench file under test.
+A truth file states what is really wired to which terminal, with scales from the data sheets: they do not come from the
+bench file under test.
 """
 
 from __future__ import annotations

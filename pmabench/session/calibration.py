@@ -244,7 +244,7 @@ class Calibrated:
     fit: Fit | None
     raw_unit: str
     warnings: tuple[str, ...] = ()
-    """A sentence for each point that was not reached."""
+    """A sentence for each point that was not reached, and for what the line contradicts."""
 
 
 def calibrate(
@@ -287,8 +287,10 @@ def calibrate(
         if said := not_followed(found, points, quantity, raw_unit):
             raise VerdictFailed(said)
         fits.append(found)
-        if channel is not None:
-            warnings.extend(contradictions(found, channel))
+        for why in contradictions(found, channel) if channel is not None else ():
+            warnings.append(why)
+            about = {"limit": "calibration", "action": "warn", "value": found.expanded}
+            executor.recorder.event("warning", executor.clock.now(), reason=why, **about)
         executor.recorder.event("calibrated", executor.clock.now(), channel=request.channel, **asdict(found))
 
     points_of = {"points": list(request.points)}

@@ -143,8 +143,8 @@ def folders_in(parent: Path) -> list[Path]:
 
 
 def _is_run(folder: Path) -> bool:
-    """Whether a folder has a manifest or a seal; without both it is no run."""
-    return (folder / files.MANIFEST).exists() or (folder / files.SEAL).exists()
+    """Whether a folder has a manifest or a seal; without both, or where it may not be read, it is no run."""
+    return any(os.path.exists(folder / name) for name in (files.MANIFEST, files.SEAL))  # noqa: PTH110  (never raises)
 
 
 def _runs(parent: Path) -> list[Path]:

@@ -213,7 +213,7 @@ def test_tune_refuses_runs_without_steps(free: RunData, tmp_path: Path) -> None:
         assert says in " ".join(reported.output.split())
 
 
-@pytest.mark.parametrize("late", [-0.4e-3, 0.0, 0.4e-3])
+@pytest.mark.parametrize("late", [-0.4e-3, 0.4e-3])
 def test_a_muscle_without_inertia_is_neither_slower_nor_faster_than_it_is(late: float):
     """Lags of 0.1 s and 0.25 s in closed form, the displacement `late` [s]: what is not in the lags has a sign."""
     t = np.arange(0.0, 31.0, 2e-3)

@@ -243,7 +243,7 @@ def test_an_export_says_that_it_is_simulated(own, tmp_path):
     assert "SIMULATED" in run.id
 
 
-@pytest.mark.parametrize("status", ["excluded", "superseded", "failed", "interrupted", "again"])
+@pytest.mark.parametrize("status", ["excluded", "failed", "again"])
 def test_a_trial_that_no_fit_takes_does_not_come_back(own, tmp_path, status):
     run, _, _ = own("contraction-relaxation")
     left_out = {"again": True} if status == "again" else {"status": status}

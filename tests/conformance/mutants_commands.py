@@ -321,6 +321,24 @@ class IsOnFromMemory:
         return (self.wanted or {}).get(output, asked)
 
 
+@fault("Switch", "from outside", "memory")
+class IsOnKeptToTheNextCommand:
+    """It asks once after each command, and gives that answer from then on."""
+
+    kept = None
+
+    def switch(self, output, *, on):
+        super().switch(output, on=on)
+        self.kept = {}
+
+    def is_on(self, output):
+        if self.kept is None:
+            return super().is_on(output)
+        if output not in self.kept:
+            self.kept[output] = super().is_on(output)
+        return self.kept[output]
+
+
 @fault("Switch", "valves", "is_on() gives 1")
 class IsOnIsANumber:
     def is_on(self, output):

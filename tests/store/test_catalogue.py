@@ -1,6 +1,7 @@
 """The list of runs is true, and needs and leaves nothing but the folders."""
 
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -44,6 +45,21 @@ def test_rows_say_what_the_folders_say(parent):
     assert row.size > 5000
     assert (row.status, row.why) == ("aborted", "")
     assert json.loads(json.dumps(vars(row)))["id"] == row.id
+
+
+def test_a_folder_that_may_not_be_read_hides_no_other(tmp_path, monkeypatch):
+    """`lost+found`, or a run of a colleague: the list was empty, and a campaign would have begun anew."""
+    folder = closed(tmp_path / "runs", rows=20)
+    (tmp_path / "runs" / "lost+found").mkdir()
+    stat = os.stat
+
+    def refused(path, *arguments, **keywords):
+        if "lost+found/" in os.fspath(path):
+            raise PermissionError(13, "Permission denied", path)
+        return stat(path, *arguments, **keywords)
+
+    monkeypatch.setattr(os, "stat", refused)
+    assert [row.folder for row in catalogue(tmp_path / "runs")] == [folder.name]
 
 
 def test_rows_follow_what_happens_to_the_folders(tmp_path):

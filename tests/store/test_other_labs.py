@@ -222,9 +222,10 @@ def crosshead(path, rng):
           rng.normal(0, 0.3, len(t)) - F)  # fmt: skip
 
 
-def test_a_machine_that_reads_pulling_as_negative_is_turned_round_by_a_line(tmp_path):
-    """The length was taken the other way round, and F_ce came out as -510 N."""
-    crosshead(tmp_path / "3 bar.csv", np.random.default_rng(9))
+@pytest.mark.parametrize("name", ["3 bar", "1 bar"])
+def test_a_machine_that_reads_pulling_as_negative_is_turned_round_by_a_line(tmp_path, name):
+    """The length was taken the other way round, and F_ce came out as -510 N; 1 bar was asked whether it is absolute."""
+    crosshead(tmp_path / f"{name}.csv", np.random.default_rng(9))
     unit = "is: force\n    unit: N\n"
     line = (unit, f"{unit}    line: {{slope: -1 N/N, offset: 0 N}}\n")
     found, _ = processed(tmp_path, line, ('"?? 812.1 mm"', "812.3 mm"))

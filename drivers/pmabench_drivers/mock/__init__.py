@@ -13,10 +13,8 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from pmabench.base.clock import Clock, RealClock, VirtualClock
 from pmabench.base.errors import DeviceError
-from pmabench.base.errors import did_you_mean as did_you_mean
 from pmabench.bench.interface import Block, DeviceRecord, Identity, Load, OutputRecord, Segment
 from pmabench_drivers.mock.options import E_STOP, JOINT, PLATFORM, output_of, read_options
-from pmabench_drivers.mock.options import VALVES as VALVES
 from pmabench_drivers.shared.device import Driver, refuse_nonsense
 
 if TYPE_CHECKING:

@@ -210,7 +210,7 @@ def _read(device: DeviceRecord, reader: Reader, *, realtime: bool) -> Options:
     served = _names(Service) if realtime else []
     given = reader.keys(device.options, HERE, (*own, *_names(Overrides), *served))
     numbers = given["plant"] if isinstance(given.get("plant"), Mapping) else None
-    plant = str(given.get("plant")) if numbers is None else str(numbers["file"])
+    plant = str(given.get("plant", Options.plant)) if numbers is None else str(numbers["file"])
     built = reader.named(given.get("built", {}), (*HERE, "built"))
     for name in built:
         reader.known((*HERE, "built", name), f"the plant {plant} has nothing called", name, BUILT_OF.get(plant, ()))

@@ -317,13 +317,14 @@ class Line:
     ) -> Any:
         """As `_ask_once`; sent again while the device answers that it is busy, as the specification asks for.
 
-        Not a sample: the next one comes soon enough. A value that is written twice is the same value.
+        Neither a sample nor a step of a ramp: the next one comes soon enough. A value that is written twice is the
+        same value.
         """
         while True:
             try:
                 return self._ask_once(send, wanted, deadline, what, still, sample=sample)
             except Busy:
-                if sample or monotonic() + AGAIN >= deadline:
+                if sample or still is not always or monotonic() + AGAIN >= deadline:
                     raise
                 sleep(AGAIN)
 

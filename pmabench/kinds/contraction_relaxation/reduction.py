@@ -175,8 +175,8 @@ def _replays(
     noise = campaign.noise
     if campaign.pressure_step:
         noise = replace(noise, pressure=sqrt(max(0.0, noise.pressure**2 - campaign.steps.pressure**2)))
-    for seed in range(count):
-        seen_again = segments_of(simulated.measured(work, run, noise, campaign.cell, seed, campaign.pressure_step))
+    for samples in simulated.measured(work, run, noise, campaign.cell, count, campaign.pressure_step):
+        seen_again = segments_of(samples)
         if len(seen_again) < 2 * FEWEST:
             raise NotUsable("the fitted muscle does not move under the loads and pressures that moved the real one")
         yield seen_again
@@ -314,7 +314,8 @@ def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Qu
     if "from" in trial.point:
         return _single_step(run, trial)
     P, load = trial.point.get("pressure", 0.0), trial.point.get("load", 0.0)
-    step = next((s for s in steps_of(samples_of(run, trial, 0), trial, Gate.lift) if s.phase == "contract"), None)
+    steps = steps_of([(samples_of(run, trial, 0), trial)], Gate.lift)
+    step = next((s for s in steps if s.phase == "contract"), None)
     K_e, F_e = (expected.at(name, P) if expected else None for name in ("K", "F_ce"))
     slip = expected.F_c if expected else 0.0
     pull = F_e - slip - load if F_e is not None else None  # F_ce - F_c - F_L, which is K x_inf

@@ -12,7 +12,7 @@ from itertools import pairwise
 from math import exp, hypot, log, sqrt
 
 import numpy as np
-from scipy.linalg import solve_banded
+from scipy.linalg.lapack import dtbtrs
 from scipy.optimize import least_squares
 
 from pmabench.analysis.shared.samples import FINE, noise_of
@@ -358,7 +358,7 @@ def _simulated(
             w[0] += A[row] @ state
             w[1:2] -= det * state[row]
             bands = np.array([[1.0], [-trace], [det]]) * np.ones(len(w))
-            value = solve_banded((2, 0), bands, w, overwrite_b=True, check_finite=False)
+            value, _ = dtbtrs(bands, w, uplo="L", diag="U")
             after[row] = value[-1]
             if row == 0:
                 made[begin:end] = value

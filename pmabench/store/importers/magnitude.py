@@ -286,7 +286,7 @@ def _lengths(channels: Mapping[str, Checked], good: Bools, least: float) -> list
 def _absolute(P: Array, F: Array) -> list[Question]:
     """Question whether a pressure is absolute that rests near atmospheric pressure while the muscle does not pull."""
     low, rest = float(np.quantile(P, 0.005)), float(np.quantile(F, 0.02))
-    near = P < low + 0.03 * float(np.ptp(P))
+    near = P <= low + 0.03 * float(np.ptp(P))
     pulls = rest + 0.05 * float(np.quantile(F, 0.998) - rest) < F
     if not ATMOSPHERE[0] <= low <= ATMOSPHERE[1] or float(pulls[near].mean()) > 0.1:
         return []
