@@ -80,7 +80,7 @@ def with_changes(
         others = reduction([_changed(run, changed.get(run.id)) for run in runs]).estimates
         widest = max(changed.values(), key=lambda one: abs(one.gain))
         for e, mine in zip(analysis.estimates, doubts, strict=True):
-            half = _apart(e, others, abs(widest.gain))
+            half = _apart(e, others, widest)
             if channel not in mine or half > mine[channel].half:
                 mine[channel] = Doubt(f"change of the {channel} in the run", "drift", half, True, widest.text)
     weighted = (weighed(e, mine.values()) for e, mine in zip(analysis.estimates, doubts, strict=True))
@@ -91,8 +91,11 @@ def _changed(run: RunData, change: Change | None) -> RunData:
     return run if change is None else replace(run, trials=tuple(change.of(trial) for trial in run.trials))
 
 
-def _apart(e: Estimate, others: Sequence[Estimate], gain: float) -> float:
-    """Difference of an estimate from that of `others`, taken to the same contraction along their values."""
+def _apart(e: Estimate, others: Sequence[Estimate], change: Change) -> float:
+    """Difference of an estimate from that of `others`, taken to the same contraction along their values.
+
+    A value that is given for the commanded contraction is the same there; it is off by its slope over the contraction.
+    """
     if e.value is None:
         return 0.0
 
@@ -103,11 +106,14 @@ def _apart(e: Estimate, others: Sequence[Estimate], gain: float) -> float:
         (one.at.get("contraction", 0.0), one.value) for one in others if key(one) == key(e) and one.value is not None
     )
     if not alike:
-        return gain * abs(e.value)
+        return abs(change.gain * e.value)
     x, values = np.array(alike).T
     place, slopes = e.at.get("contraction", 0.0), np.gradient(values, x) if len(set(x)) == len(x) > 1 else 0 * x
     near = int(np.argmin(np.abs(x - place)))
-    return abs(float(values[near] + slopes[near] * (place - x[near])) - e.value)
+    half = abs(float(values[near] + slopes[near] * (place - x[near])) - e.value)
+    if change.channel == "displacement" and half < 1e-9 * abs(e.value):
+        half = abs(float(slopes[near]) * (change.offset + change.gain * (place - change.about)))
+    return half
 
 
 def of_values(run: RunData, channel: str, what: str, values: tuple[Array, Array, Array]) -> Iterator[list[Change]]:

@@ -132,8 +132,9 @@ def _slope(every: Sequence[Followed]) -> float:
 
 
 def _usual(values: Sequence[float]) -> float:
-    """Usual difference between successive values, which one step does not change."""
-    return float(np.median(np.abs(np.diff(values)))) if len(values) > 1 else 0.0
+    """Usual difference between successive values; a step changes two of them, where it is in the middle of one."""
+    apart = np.sort(np.abs(np.diff(values)))[:-2]
+    return float(np.median(apart)) if len(apart) else 0.0
 
 
 def _since(t: Array, off: Array, size: Array) -> float:
