@@ -53,7 +53,7 @@ def ramps(alter: Alter, seed: int = 1) -> RunData:
                 "pressure": P + 100.0 * random.standard_normal(n),
                 "displacement": x + 2e-6 * random.standard_normal(n),
                 "force": F + 0.1 * random.standard_normal(n),
-                "displacement_command": sent,
+                "displacement_command": sent + 1e-5 * random.standard_normal(n),  # read from an analog output
             }
             legs = [begin + leg * k for k in range(2 * CYCLES)]
             commands = tuple(
@@ -125,9 +125,11 @@ WRONG = [
 ]
 
 
+@pytest.mark.parametrize("later", [0.0, 7.0])
 @pytest.mark.parametrize(("channel", "gain", "offset", "said"), WRONG)
-def test_a_sensor_changed_in_the_middle_of_ramps_is_in_every_interval_and_said(channel, gain, offset, said):
-    since = middle(ramps(good))
+def test_a_sensor_changed_in_the_middle_of_ramps_is_in_every_interval_and_said(channel, gain, offset, said, later):
+    """At the end of a cycle, or within one, which then has neither the scale before nor that after."""
+    since = middle(ramps(good)) + later
     (analysis,) = reduce_runs([ramps(changed(channel, since, gain, offset))])
     assert not wrong(analysis, truth)
     assert any(e.withheld for e in analysis.estimates)

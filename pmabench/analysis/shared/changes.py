@@ -37,8 +37,10 @@ LARGEST = 0.5
 """Largest change for that [1]."""
 FEWEST = 6
 """Fewest values."""
-BINS = 20
-"""Number of places at which the force is compared."""
+BINS, PIECES = 20, 8
+"""Number of places at which the force is compared; most values of a trial."""
+TRAVEL = 1e-3
+"""Least travel of a command [m]."""
 SWEPT = ("speed", "frequency", "cycles")
 """Coordinates of an operating point that change the force at a place little."""
 
@@ -201,8 +203,8 @@ class Rows:
 
     def _mean(self, of: Array) -> Array:
         """Mean of `of`, shape (..., n), over the cell of each row."""
-        same = (self.cell[:, None] == self.cell).astype(np.float64)
-        return np.asarray(of @ (same / same.sum(axis=0)))
+        mine = (self.cell[:, None] == np.unique(self.cell)).astype(np.float64)
+        return np.asarray((of @ mine / mine.sum(axis=0)) @ mine.T)
 
 
 def _forces(run: RunData) -> Rows:
@@ -219,32 +221,42 @@ def _forces(run: RunData) -> Rows:
 
 
 def _shares(number: int, trials: Sequence[TrialData]) -> Iterator[tuple[float, float, float, float]]:
-    """Cell, time, mean force and rms speed of each cycle of the trials of a cell."""
+    """Cell, time, mean force and speed of the cycles of each trial of a cell, in at most `PIECES` pieces."""
     parts = []
     for trial in trials:
         sent, force = trial.channels[SENT], trial.channels["force"]
         good = trial.usable & np.isfinite(sent) & np.isfinite(force)
-        if np.count_nonzero(good) > FEWEST:
-            t, sent, force = trial.t[good], sent[good], force[good]
-            parts.append((t, sent, force, np.gradient(sent, t)))
+        if found := cycles(sent[good]):
+            parts.append((trial.t[good], sent[good], force[good], found))
     if not parts:
         return
     low, high = min(float(p[1].min()) for p in parts), max(float(p[1].max()) for p in parts)
-    places = [
-        3 * np.round(BINS * (sent - low) / max(high - low, 1e-9)).astype(np.intp) + np.sign(v).astype(np.intp) + 1
-        for _, sent, _, v in parts
-    ]
+    places = [2 * np.round(BINS * (sent - low) / (high - low)).astype(np.intp) + (side(sent) > 0)
+              for _, sent, _, _ in parts]  # fmt: skip
     where, forces = np.concatenate(places), np.concatenate([force for _, _, force, _ in parts])
     usual = np.bincount(where, forces) / np.maximum(np.bincount(where), 1)
     level = float(forces.mean())
-    for (t, _, force, v), place in zip(parts, places, strict=True):
-        for piece in cycles(v):
-            share = float(force[piece].sum() / usual[place[piece]].sum())
-            yield number, float(t[piece[0]]), share * level, float(np.sqrt(np.mean(v**2)))
+    for (t, sent, force, found), place in zip(parts, places, strict=True):
+        for some in np.array_split(np.arange(len(found)), min(PIECES, len(found))):
+            rows = np.concatenate([found[n] for n in some])
+            share = float(force[rows].sum() / usual[place[rows]].sum())
+            lasts = float(t[rows[-1]] - t[rows[0]])
+            yield number, float(t[rows[0]]), share * level, len(some) * float(np.ptp(sent[rows])) / lasts
 
 
-def cycles(speed: Array) -> list[Array]:
-    """Rows of each whole cycle of a motion with this speed: from one turn to the one after the next."""
-    moving = np.flatnonzero(speed)
-    turns = moving[1:][np.diff(np.sign(speed[moving])) != 0]
-    return [np.arange(begin, end) for begin, end in pairwise(turns[::2])]
+def side(sent: Array) -> Array:
+    """1 after a motion (n,) was in the upper quarter of its range and until it is in the lower one, where it is -1; 0
+    before.
+    """
+    place = (sent - sent.min()) / max(float(np.ptp(sent)), 1e-12)
+    event = np.where(place > 0.75, 1, np.where(place < 0.25, -1, 0))
+    last = np.maximum.accumulate(np.where(event != 0, np.arange(len(event)), 0))
+    return np.asarray(event[last])
+
+
+def cycles(sent: Array) -> list[Array]:
+    """Rows of each whole cycle of a motion, from one rise to the next; noise of a command that is read is none."""
+    if len(sent) < FEWEST or np.ptp(sent) < TRAVEL:
+        return []
+    up = side(sent) > 0
+    return [np.arange(begin, end) for begin, end in pairwise(np.flatnonzero(up[1:] & ~up[:-1]) + 1)]

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from pmabench.analysis.imported import import_of
-from pmabench.analysis.shared.changes import SENT, Change, cycles
+from pmabench.analysis.shared.changes import SENT, TRAVEL, Change, cycles
 from pmabench.base.quantities import show
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -25,8 +25,6 @@ FAR, AWAY = 0.01, 1e-3
 """Constant differences of scale [1] and place [m] that are not reported."""
 OTHER = 0.3
 """Difference of scale from which on the command counts as that of something else."""
-TRAVEL = 1e-3
-"""Least travel of a command in a trial for its scale [m]."""
 CLEAR = 4.0
 """Usual differences between successive trials above which a difference is a change."""
 BY_LAG = 0.5
@@ -46,6 +44,8 @@ class Followed:
     """Mean of the command [m]."""
     place: float
     """Displacement minus command there [m]."""
+    rest: float
+    """What it differs from this by, rms [m]: more where it changes in between."""
     scale: float = nan
     """Share of the commanded travel that is measured [1]; nan where nothing travelled."""
     open: float = 0.0
@@ -64,7 +64,7 @@ class Followed:
             return
         t, x, sent = trial.t[good], x[good], sent[good]
         speed = np.gradient(sent, t)
-        for part in cycles(speed) or np.array_split(np.arange(len(t)), 2):
+        for part in cycles(sent) or np.array_split(np.arange(len(t)), 2):
             if len(part) >= FEWEST // 2 and (one := cls.of(trial, t[part], x[part], sent[part], speed[part])):
                 yield one
 
@@ -73,14 +73,16 @@ class Followed:
         """Of a part of a trial; None where the command is that of something else."""
         centre, reach = float(sent.mean()), 0.5 * float(np.ptp(sent))
         if 2 * reach < TRAVEL:
-            return cls(trial, float(t[0]), centre, float(np.median(x - sent)))
+            return cls(trial, float(t[0]), centre, float(np.median(x - sent)), float(np.std(x - sent)))
         # a drive that follows with a lag T is T times its speed behind; at a frequency w it also loses (w T)^2
-        terms, *_ = np.linalg.lstsq(np.column_stack([np.ones_like(t), sent - centre, speed]), x, rcond=None)
+        design = np.column_stack([np.ones_like(t), sent - centre, speed])
+        terms, *_ = np.linalg.lstsq(design, x, rcond=None)
         scale, lag = float(terms[1]), float(terms[2] / terms[1])
         if abs(scale - 1) > OTHER:
             return None
         lost = lag**2 * float(np.mean(speed**2) / np.mean((sent - centre) ** 2))
-        return cls(trial, float(t[0]), centre, float(terms[0]) - centre, scale * (1 + lost), BY_LAG * lost, reach)
+        place, rest = float(terms[0]) - centre, float(np.std(x - design @ terms))
+        return cls(trial, float(t[0]), centre, place, rest, scale * (1 + lost), BY_LAG * lost, reach)
 
 
 def followed(run: RunData) -> Change | None:
@@ -106,12 +108,15 @@ def followed(run: RunData) -> Change | None:
     ]
     if not changed and not slipped:
         return _constant(run, every, gain, steady)
+    whole = CLEAR * float(np.median([one.rest for one in every]))
     size = [
-        abs(by) + (abs(one.scale - steady.scale) * one.reach if one in changed else 0.0)
+        (one.rest <= whole, abs(by) + (abs(one.scale - steady.scale) * one.reach if one in changed else 0.0))
+        if one in changed or one in slipped else (False, 0.0)
         for one, by in zip(every, moved, strict=True)
-    ]
-    worst = every[int(np.argmax(size))]
-    by, offset = worst.scale - steady.scale if worst in changed else 0.0, moved[int(np.argmax(size))]
+    ]  # fmt: skip
+    place = max(range(len(every)), key=size.__getitem__)
+    worst = every[place]
+    by, offset = worst.scale - steady.scale if worst in changed else 0.0, moved[place]
     begun = min((*changed, *slipped), key=lambda one: one.t).trial
     x, sent = (np.nan_to_num(begun.channels[name]) for name in (MOVED, SENT))
     when = _since(begun.t, x - sent - before(sent), offset + by * (sent - worst.centre))

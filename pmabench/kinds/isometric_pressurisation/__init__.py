@@ -67,7 +67,6 @@ KIND = Kind(
     moves="force",
     repeated="pmabench.kinds.isometric_pressurisation.curve:largest_force",
     repeated_is="largest force",
-    drifts="force",
     word="isometric",
     offers="pmabench.kinds.isometric_pressurisation.reduction:offers",
     methods=METHODS,

@@ -37,7 +37,6 @@ KIND = Kind(
     moves="force",
     repeated="pmabench.kinds.relaxation.reduction:per_decade",
     repeated_is="relaxation per decade",
-    drifts="force",
     word="relaxation",
     methods=METHODS,
     figures={"relaxation": "pmabench.kinds.relaxation.reduction:courses"},
