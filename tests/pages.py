@@ -48,7 +48,7 @@ NOT_TYPED = ("pip ", "python ", "make ", "git ", "#")
 """How lines begin that no block executes."""
 NOTE = re.compile(rf"<!-- ((?:{'|'.join(CLAUSES)}): .*) -->")
 PAIR = re.compile(r",\s+(?=[^,]* = )")
-FILE = re.compile(r"```(?:yaml|python|toml)\n# ([\w./-]+\.(?:yaml|py|toml))\n(.*?)```", re.DOTALL)
+FILE = re.compile(r"```(?:yaml|python|toml|text)\n# ([\w./-]+\.(?:yaml|py|toml|txt))\n(.*?)```", re.DOTALL)
 DONE = re.compile(r"(the free end carries|plant: |[\w-]+: )")
 """How the emulator confirms what was typed."""
 ENDLESS = ("run", "watch", "monitor")

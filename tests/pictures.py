@@ -2,7 +2,7 @@
 
 docs/pictures/display.svg: `pmabench watch` of a run on the simulated bench, docs/pictures/live.png: `watch --web` of
 the same. docs/pictures/report.png: the first page of the demo's report, as a browser prints it. Both need Chromium.
-docs/pictures/straight.png: the simulated muscle with
+docs/pictures/straight.svg: the simulated muscle with
 hysteresis and creep, as the campaign `real-muscle` measures it and `process --form surface` describes it.
 """
 
@@ -14,7 +14,6 @@ from pathlib import Path
 
 import numpy as np
 from click.testing import CliRunner
-from matplotlib.figure import Figure
 from rich.console import Console
 
 from pmabench.cli.main import main
@@ -22,6 +21,9 @@ from pmabench.display.console import ALONE
 from pmabench.display.state import RunState
 from pmabench.display.view import Extra, screen
 from pmabench.display.web.server import start
+from pmabench.plotting.chart import BLUE, BROWN, FAINT, GREEN, Chart, Series, joined
+from pmabench.plotting.svg import as_file
+from pmabench.report.document.content import FONT
 from pmabench.store.analyses.folder import read_analysis
 from pmabench.store.reader import open_run
 from tests.browser import CHROMIUM, Browser
@@ -101,36 +103,31 @@ def straight(folder):
     loops = read_analysis(Path("found") / "surface").traces
     run = open_run(next(Path("runs").glob("*step-displacement*")))
     held = next(trial for trial in run.trials if trial.point["pressure"] == 350e3)
-    figure = Figure(figsize=(9.6, 3.3), layout="constrained")
-    wide, small, creep = figure.subplots(1, 3, width_ratios=(1.3, 1, 1))
+    series = []
     ramps = [trace for trace in loops if "isobaric" in trace.title]
     for trace in ramps:
         x, F = 1e3 * trace.columns["displacement"], trace.columns["force"]
-        wide.plot(x, F, color="#a3b1be", lw=2.6)
-        wide.plot(x, trace.columns["model"], color="#0b5394", lw=0.9)
         ends = np.array([x.min(), x.max()])
-        wide.plot(ends, np.polyval(np.polyfit(x, F, 1), ends), "--", color="#8a4b00", lw=0.9)
-        wide.annotate(f"{trace.marks['pressure'] / 1e3:.0f} kPa", (x.max(), F.min()), fontsize=7, va="top")
-    wide.set(title="surface (blue), straight line (brown)", xlabel="contraction [mm]", ylabel="force [N]")
+        line = np.polyval(np.polyfit(x, F, 1), ends)
+        series += [Series("", x, F, FAINT, width=2.6), Series("", x, trace.columns["model"], BLUE, width=0.9)]
+        series.append(Series(f"{trace.marks['pressure'] / 1e3:.0f} kPa", ends, line, BROWN, width=0.9, dashed=True))
+    force = "force [N]"
+    wide = Chart("contraction [mm]", force, tuple(series), 250.0, 220.0, title="Surface (blue), straight line (brown)")
     trace = ramps[len(ramps) // 2]
     x, F = 1e3 * trace.columns["displacement"], trace.columns["force"]
     near = (x > 3) & (x < 10)
-    small.plot(x[near], F[near], ".", color="#a3b1be", ms=3)
-    small.plot(x[near], trace.columns["model"][near], ".", color="#0b5394", ms=1.2)
-    small.set(title="a small loop within the large one", xlabel="contraction [mm]")
+    points = (Series("", x[near], F[near], FAINT, "o"), Series("", x[near], trace.columns["model"][near], BLUE, "."))
+    small = Chart("contraction [mm]", force, points, 195.0, 220.0, title="A small loop within the large one")
     t, F = held.t, held.channels["force"]
     begin = next(c for c in held.commands if c.phase == "step" and c.kind == "ramp").t + 0.5
-    kept = (t > begin + 0.3) & (t < begin + 199)
+    kept = np.flatnonzero((t > begin + 0.3) & (t < begin + 199))
     level = np.median(F[kept][-200:])
-    creep.semilogx(t[kept] - begin, F[kept] - level, ".", ms=1, color="#0a6b4d")
-    creep.set(title="creep while the length is held", xlabel="time [s]", ylabel="force above that at 199 s [N]")
-    for axis in (wide, small, creep):
-        axis.title.set_fontsize(8.5)
-        axis.spines[["top", "right"]].set_visible(False)
-        axis.tick_params(labelsize=7.5)
-        axis.xaxis.label.set_fontsize(8)
-        axis.yaxis.label.set_fontsize(8)
-    figure.savefig(PICTURES / "straight.png", dpi=110)
+    kept = kept[np.unique(np.geomspace(1, len(kept), 600).astype(int)) - 1]
+    points = (Series("", t[kept] - begin, F[kept] - level, GREEN, "."),)
+    label, decades = "force above its last value [N]", (1.0, 10.0, 100.0)
+    creep = Chart("time [s]", label, points, 195.0, 220.0, title="Creep, length held", log=True, x_ticks=decades)
+    alt = "Force over contraction, a small loop, creep"
+    (PICTURES / "straight.svg").write_text(as_file(joined([[wide, small, creep]], alt), FONT), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -32,7 +32,7 @@ def test_the_emulators_take_every_plant_with_a_free_end():
 def test_every_option_is_reported_once():
     reported = first_cells(OPTIONS)
     known = {item.name for item in (*fields(Options), *fields(Overrides), *fields(Service))}
-    assert sorted(reported) == sorted(known - {"overrides", "numbers", "plant", "preset"})
+    assert sorted(reported) == sorted(known - {"overrides", "service", "numbers", "plant", "preset"})
 
 
 def test_every_fault_and_error_is_reported():

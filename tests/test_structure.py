@@ -14,7 +14,7 @@ from pmabench.cli.files import KINDS, schema_text
 from pmabench.files.document import read_document
 
 ROOT = Path(__file__).resolve().parents[1]
-HEAVY = ("numpy", "scipy", "pandas", "pymodbus", "can", "pint", "serial", "pydantic", "pyarrow", "matplotlib")
+HEAVY = ("numpy", "scipy", "pandas", "pymodbus", "can", "pint", "serial", "pydantic", "pyarrow")
 
 
 def loaded_by(code: str) -> set[str]:

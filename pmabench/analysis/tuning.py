@@ -11,7 +11,7 @@ from math import isfinite, sqrt
 from typing import Any
 
 from pmabench.base.errors import did_you_mean
-from pmabench.model.loop import Answer, Controller, Loop, Margins, dead_time_for, margins, set_point_step, ultimate
+from pmabench.model.loop import Controller, Loop, Margins, margins, ultimate
 from pmabench.model.rules import Rule, all_rules
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts
 
@@ -33,8 +33,6 @@ class Gains:
     K_d: Estimate | None = None
     margins: Margins | None = None
     """Stability margins; None without a model of the loop."""
-    answer: Answer | None = None
-    """Response to a simulated set-point step; None without a model of the loop."""
 
     @property
     def estimates(self) -> tuple[Estimate, ...]:
@@ -43,18 +41,12 @@ class Gains:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data; infinite margins as None."""
-
-        def as_dict(made: Margins | Answer | None) -> dict[str, Any]:
-            found = {} if made is None else asdict(made)
-            return {name: value if isfinite(value) else None for name, value in found.items()}
-
+        found = {} if self.margins is None else asdict(self.margins)
         return {
             "rule": self.rule.title,
             **{name: getattr(self.rule, name) for name in ("name", "form", "source")},
             "gains": {e.symbol: e.to_dict() for e in self.estimates},
-            "margins": as_dict(self.margins) or None,
-            "overshoot": as_dict(self.answer).get("overshoot"),
-            "settling": as_dict(self.answer).get("settling"),
+            "margins": {name: value if isfinite(value) else None for name, value in found.items()} or None,
         }
 
 
@@ -75,8 +67,8 @@ def tune(
     """Settings of every rule from the ultimate gain `K_u` [Pa/m, or any unit] and period `T_u` [s], with intervals.
 
     Relative half widths of K_u and T_u are added as squares for each cause, as if independent. With the model `loop`
-    each rule also gets its margins and its response to a simulated set-point step. Rules that use the loop itself are
-    left out where it is not known or not of their kind; their settings have no intervals.
+    each rule also gets its margins. Rules that use the loop itself are left out where it is not known or not of their
+    kind; their settings have no intervals.
 
     Raises ValueError where K_u or T_u has no value, or one that is not above 0.
     """
@@ -92,7 +84,7 @@ def tune(
             raise
         gains = _of_loop(rule, K_u, settings) if rule.from_loop else _scaled(rule, K_u, K_u.value, T_u, T_u.value)
         if loop is not None:
-            gains = replace(gains, margins=margins(loop, settings), answer=set_point_step(loop, settings))
+            gains = replace(gains, margins=margins(loop, settings))
         made.append(gains)
     return tuple(made)
 
@@ -155,20 +147,15 @@ AGREES, DOUBTED = 0.15, 0.5
 
 
 def plausibility(T_u: float, loop: Loop) -> Finding:
-    """Finding on whether T_u [s] can come from the linear model `loop`.
-
-    Where T_u is impossible, it names the dead time that the measured period would need.
-    """
+    """Finding on whether T_u [s] can come from the linear model `loop`."""
     expected = ultimate(loop)
     lags = ", ".join(f"{abs(complex(lag)):.3g} s" for lag in loop.lags)
     plant = f"a linear loop with dead time {loop.dead_time * 1e3:.3g} ms and lag{'s' * (len(loop.lags) > 1)} {lags}"
     off = abs(T_u / expected.period - 1)
     if off > DOUBTED:
-        needed = dead_time_for(T_u, loop.lags)
-        would = f"{T_u:.3g} s would need a dead time of {needed:.3g} s" if needed > 0 else "no dead time gives it"
         cycle = "; a cycle so slow is what stiction makes, not an ultimate oscillation" if T_u > expected.period else ""
         text = f"T_u = {T_u:.3g} s is impossible for {plant}: that oscillates at {expected.period:.3g} s"
-        return Finding("fault", f"{text}; {would}{cycle}")
+        return Finding("fault", f"{text}{cycle}")
     sentence = f"T_u = {T_u:.3g} s, where {plant} gives {expected.period:.3g} s"
     if off > AGREES:
         return Finding("doubt", f"{sentence}: more than {AGREES:.0%} apart")

@@ -1,6 +1,6 @@
 """The kinds of failure of the program, each with its exit code; independent of the code that raises them.
 
-Exit codes: 0 done, 1 error in the program, 2 wrong usage, 3 a file is invalid, 4 device or communication,
+Exit codes: 0 done, 1 error in the program, 2 wrong usage, 3 a file is invalid, 4 device, communication or wiring,
 5 limit, interlock or watchdog tripped, 6 done but a verdict failed, 7 the record could not be written,
 130 interrupted by the operator, 143 by SIGTERM, 129 by SIGHUP.
 """

@@ -94,7 +94,10 @@ class Kind:
     protocol: str = ""
     """`module:Class` of its protocol file; empty if it is only imported, or reduces the runs of another kind."""
     live: str = ""
-    """`module:measure`: (run, trial, expected, quick) -> result of a single trial, for the display."""
+    """`module:measure`: (run, trial, expected, quick) -> result of a single trial, for the display.
+
+    `pmabench.kinds.reduce:of_one_trial` takes the key numbers of its reduction.
+    """
     moves: str = ""
     """Channel that changes in each of its trials, unless nothing moved."""
     repeated: str = ""

@@ -22,8 +22,10 @@ def printable(text: object, longest: int | None = None) -> str:
 
 def clean(text: object, longest: int = 2000) -> str:
     """Text for a page, lines kept: without control and direction characters, cut if too long."""
-    text_only = str(text).replace("\r", "").encode("utf-8", "replace").decode("utf-8")
-    return _cut(_CONTROL.sub("", text_only), longest)
+    text_only = str(text)
+    if not text_only.isprintable():
+        text_only = _CONTROL.sub("", text_only.replace("\r", "").encode("utf-8", "replace").decode("utf-8"))
+    return _cut(text_only, longest)
 
 
 def spelled(text: str) -> str:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Callable, Collection, Iterator
-from contextlib import suppress
 from functools import partial
 from math import isfinite
 from typing import Any, NamedTuple
@@ -20,7 +19,7 @@ from pmabench.bench.files.bench import BenchFile
 from pmabench.bench.files.specimen import SpecimenFile, SpecimenLimits, any_specimen
 from pmabench.bench.interface import ChannelRecord, OutputRecord, ValveRecord
 from pmabench.files.document import Document, Location, Strict, document_text, validate
-from pmabench.files.quantity import USUAL, raw_quantity, unit_factor
+from pmabench.files.quantity import unit_factor
 
 LIMITS = ("command", "command_low", "trip", "trip_low")
 
@@ -62,40 +61,6 @@ def _problem(document: Document | None, location: Location, message: str) -> Pro
     return document.problem(location, message)
 
 
-UNITS_OF_CHANNELS = {unit for quantity in CHANNEL_QUANTITY.values() for unit in USUAL.get(quantity, {})}
-
-
-def _of_other_units(document: Document) -> Iterator[Problem]:
-    """Values with a unit of another quantity, in a file that failed validation and is not compiled further."""
-    for location, name, value in _named_values(document.data):
-        with suppress(ValueError):  # the model reports what is no reading at all
-            unit = raw_quantity(value)[1]
-            if location[0] == "channels" and unit not in UNITS_OF_CHANNELS:
-                continue  # a range may be in the device's own unit
-            try:
-                unit_factor(unit, CHANNEL_QUANTITY[name])
-            except ValueError as error:
-                yield document.problem(location, str(error))
-
-
-def _named_values(data: dict[str, Any]) -> Iterator[tuple[Location, str, object]]:
-    """Ranges, scales and limits under the name of a channel: place, name, value."""
-    for section, keys in (("channels", ("range",)), ("outputs", ("scale",)), ("limits", LIMITS)):
-        entries = data.get(section)
-        for name, entry in entries.items() if isinstance(entries, dict) else ():
-            if name not in CHANNEL_QUANTITY or not isinstance(entry, dict):
-                continue
-            for key in keys:
-                given = entry.get(key)
-                values = given if isinstance(given, list) else [given]
-                for index, value in enumerate(values):
-                    at: Location = (section, name, key, index) if isinstance(given, list) else (section, name, key)
-                    if isinstance(value, list) and len(value) == 2:  # point of a scale: device value, then SI value
-                        at, value = (*at, 1), value[1]
-                    if isinstance(value, str) and entry.get("unit") is None:
-                        yield at, name, value
-
-
 class Borne(NamedTuple):
     """Limits of a muscle, whose they are, and where they are written."""
 
@@ -121,8 +86,6 @@ class Compilation:
         """Every channel without a problem, by name; outputs and valves likewise."""
         self.outputs: dict[str, OutputRecord] = {}
         self.valves: dict[str, ValveRecord] = {}
-        self.driver_lacks: list[str] = []
-        """Warnings about devices' options; each continues the sentence "this bench has"."""
         files: dict[type[Strict], Any] = {SpecimenFile: any_specimen()}
         if specimen is not None:
             self.texts["specimen.yaml"] = document_text(specimen)
@@ -132,7 +95,6 @@ class Compilation:
                     files[model] = validate(model, document)
             except InvalidFile as error:
                 self.problems.extend(error.problems)
-                self.problems.extend(_of_other_units(document) if model is BenchFile and document is not None else ())
         if self.problems:
             raise InvalidFile(self.problems)
         self.bench: BenchFile = files[BenchFile]

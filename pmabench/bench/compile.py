@@ -16,11 +16,10 @@ from typing import Any
 from pmabench.base.errors import InvalidFile, Problem
 from pmabench.bench.channels import NAME, aims, channels, numbers, outputs, valves
 from pmabench.bench.compilation import Compilation, known_places, unconfirmed
-from pmabench.bench.driver_options import checked
+from pmabench.bench.driver_options import HARDWARE, checked, driver_class
 from pmabench.bench.files.bench import BenchFile, DeviceFile
 from pmabench.bench.files.specimen import SpecimenFile
 from pmabench.bench.interface import CompiledBench, DeviceRecord, SafeAction, ValveRecord, place
-from pmabench.bench.registry import HARDWARE, driver_class
 from pmabench.bench.remarks import lacks, mistaken
 from pmabench.bench.safety import interlocks, proof, safe_state, setup_pressure, trips
 from pmabench.bench.session import Session, lacks_session, session

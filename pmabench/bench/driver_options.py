@@ -1,11 +1,10 @@
-"""Checks by a driver of the options that a bench file gives it, before anything is opened.
+"""Installed drivers, and their checks of the options that a bench file gives them, before anything is opened.
 
 A driver may have a class method `check(device: DeviceRecord)` that yields (place, message) for every mistake. A place
 starts at the device (`options` or `address`) or at the top of the bench file (`channels`, `outputs`, `interlocks`
 by name). It must touch no device and import nothing heavy.
 Another one, `fastest(device: DeviceRecord)`, may return its highest sample rate with these options [Hz], so that we
-can warn of a protocol that asks for more, and `lacks(device: DeviceRecord)` yields surprises of these options,
-each continuing the sentence "this bench has"; both are called only if the options are valid.
+can warn of a protocol that asks for more; it is called only if the options are valid.
 
 A text as option `map` names a YAML file next to the bench file; its content replaces the name. The same holds for the
 text of a DBC file (messages of a CAN bus), named by the option `dbc`, and the numbers of a plant file, named by the
@@ -14,21 +13,62 @@ option `plant`.
 
 from __future__ import annotations
 
+import re
+from collections.abc import Mapping
 from dataclasses import replace
+from functools import lru_cache
 from importlib import import_module
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
-from pmabench.base.errors import InvalidFile
+from pmabench.base.errors import InvalidFile, did_you_mean
+from pmabench.base.system import registered
 from pmabench.bench.compilation import Compilation
 from pmabench.bench.interface import DeviceRecord, Follower, Inputs, Motion, Pulses, SetPoint, Stream, Switch, Watchdog
 from pmabench.bench.plant import read_plant
-from pmabench.bench.registry import verified
 from pmabench.files.document import Document, Location, document_text, read_document
 
+EMULATOR_ONLY = "emulator only"
+"""Verification of a driver without a class attribute `verified`."""
+HARDWARE = "hardware"
+"""Start of `verified` for a driver that was tried on a device: `hardware (who, date, firmware)`."""
 MAP, DBC, PLANT = "map", "dbc", "plant"
+FILES = {MAP: "registers/regulator.yaml", DBC: "sensors/load-cell.dbc", PLANT: "plants/my-muscle.yaml"}
+"""Options that name a file -> an example."""
 LONGEST = 2_000_000
 """Longest DBC file accepted [bytes]."""
+
+
+@lru_cache(maxsize=1)
+def _points() -> dict[str, EntryPoint]:
+    return {point.name: point for point in registered("pmabench.drivers")}
+
+
+def drivers() -> dict[str, str]:
+    """Name of each driver -> `module:Class`."""
+    return {name: point.value for name, point in _points().items()}
+
+
+def driver_class(name: str) -> str:
+    """`module:Class` of a driver by its name, or as given in that form; ValueError if unknown."""
+    if re.fullmatch(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*", name):
+        return name
+    known = drivers()
+    if name not in known:
+        raise ValueError(f'no driver "{name}" is installed{did_you_mean(name, known)}')
+    return known[name]
+
+
+def driver_version(target: str) -> str:
+    """Version of the package that installed the driver `module:Class`; empty without one."""
+    found = next((point for point in _points().values() if point.value == target and point.dist is not None), None)
+    return found.dist.version if found is not None and found.dist is not None else ""
+
+
+def verified(driver: object) -> str:
+    """How a driver class was verified: `hardware (who, date, firmware)`, or `emulator only`."""
+    return str(getattr(driver, "verified", EMULATOR_ONLY))
 
 
 def checked(c: Compilation, device: DeviceRecord) -> DeviceRecord:
@@ -52,8 +92,6 @@ def checked(c: Compilation, device: DeviceRecord) -> DeviceRecord:
     wrong = list(check(device)) if check is not None else []
     for place, message in wrong:
         _add_problem(c, at, place, message, map_document)
-    if not wrong and hasattr(driver, "lacks"):
-        c.driver_lacks += driver.lacks(device)
     fastest = getattr(driver, "fastest", None)
     if fastest is None or wrong:
         return device
@@ -72,11 +110,11 @@ def _options_with_files(c: Compilation, device: DeviceRecord) -> tuple[dict[str,
     """Options with file names replaced by contents (None for an invalid file), and the map file if there is one."""
     options, at = dict(device.options), ("devices", device.name, "options")
     map_document: Document | None = None
-    if isinstance(options.get(MAP), str):
-        map_document = _read_map(c, options[MAP], (*at, MAP))
-        options[MAP] = None if map_document is None else map_document.data
-    if isinstance(options.get(DBC), str):
-        options[DBC] = _read_dbc(c, options[DBC], (*at, DBC))
+    for key in (MAP, DBC):
+        if isinstance(options.get(key), str):
+            found = _read_file(c, options, key, (*at, key))
+            map_document = found if isinstance(found, Document) else map_document
+            options[key] = found.data if isinstance(found, Document) else found
     if isinstance(options.get(PLANT), dict) or str(options.get(PLANT)).endswith(".yaml"):
         options[PLANT] = _read_plant(c, device, (*at, PLANT))
     return options, map_document
@@ -120,50 +158,23 @@ def _lacks_a_capability(c: Compilation, device: DeviceRecord, driver: type) -> b
     return bool(missing)
 
 
-def _read_dbc(c: Compilation, name: str, at: Location) -> str | None:
-    """Text of a DBC file (Latin-1), kept for the run's snapshot; None with a problem."""
-    path = Path(name)
-    if path.is_absolute() or ".." in path.parts or path.suffix.lower() != ".dbc":
-        c.fault(at, f'a .dbc file next to this one is expected, for instance "sensors/load-cell.dbc", not "{name}"')
-        return None
-    try:
-        with (Path(c.bench_document.place(at)[0]).parent / path).open("rb") as stream:
-            data = stream.read(LONGEST + 1)
-    except OSError as error:
-        c.fault(at, f"cannot read {name}: {error.strerror}")
-        return None
-    if len(data) > LONGEST:
-        c.fault(at, f"{name} is longer than {LONGEST} bytes")
-        return None
-    text = data.decode("latin-1")
-    return text if _keep(c, name, text, at) else None
-
-
 def _read_plant(c: Compilation, device: DeviceRecord, at: Location) -> dict[str, Any] | None:
     """Numbers of a plant file, kept for the run's snapshot; None with a problem."""
     name = device.options[PLANT]
     if not isinstance(name, str):
         c.fault(at, "the name of a plant, or a plant file next to this one, is expected")
         return None
-    if (path := _yaml_path(c, name, at, "plants/my-muscle.yaml")) is None:
-        return None
     try:
-        plant = read_plant(path)
+        plant = read_plant(_path_named(Path(c.bench_document.place(at)[0]).parent, name, PLANT))
+    except ValueError as error:
+        c.fault(at, str(error))
+        return None
     except InvalidFile as error:
         c.problems.extend(problem for problem in error.problems if problem not in c.problems)
         return None
     for sentence in plant.beyond(device.outputs):
         c.fault(at, sentence)
     return None if not _keep(c, name, plant.text, at) else {**plant.numbers, "file": name}
-
-
-def _yaml_path(c: Compilation, name: str, at: Location, example: str) -> Path | None:
-    """Path of a .yaml file next to the file that names it at `at`; None with a problem."""
-    path = Path(name)
-    if path.is_absolute() or ".." in path.parts or path.suffix != ".yaml":
-        c.fault(at, f'a .yaml file next to this one is expected, for instance "{example}", not "{name}"')
-        return None
-    return Path(c.bench_document.place(at)[0]).parent / path
 
 
 def _keep(c: Compilation, name: str, text: str, at: Location) -> bool:
@@ -174,13 +185,41 @@ def _keep(c: Compilation, name: str, text: str, at: Location) -> bool:
     return True
 
 
-def _read_map(c: Compilation, name: str, at: Location) -> Document | None:
-    """Map file, kept for the run's snapshot; None with a problem."""
-    if (path := _yaml_path(c, name, at, "registers/regulator.yaml")) is None:
-        return None
+def _read_file(c: Compilation, options: Mapping[str, Any], key: str, at: Location) -> Document | str | None:
+    """The file that an option names, kept for the run's snapshot; None with a problem."""
     try:
-        document = read_document(path)
+        found = read_named_file(Path(c.bench_document.place(at)[0]).parent, options[key], key)
     except InvalidFile as error:
         c.problems.extend(problem for problem in error.problems if problem not in c.problems)
         return None
-    return document if _keep(c, name, document_text(document), at) else None
+    except ValueError as error:
+        c.fault(at, str(error))
+        return None
+    text = found if isinstance(found, str) else document_text(found)
+    return found if _keep(c, options[key], text, at) else None
+
+
+def read_named_file(folder: Path, name: str, key: str) -> Document | str:
+    """The map, or the text of the DBC file (Latin-1), that the option `key` of a file in `folder` names.
+
+    Raises ValueError for a file that is elsewhere or cannot be read, InvalidFile for one that is no YAML.
+    """
+    path = _path_named(folder, name, key)
+    if key == MAP:
+        return read_document(path)
+    try:
+        with path.open("rb") as stream:
+            data = stream.read(LONGEST + 1)
+    except OSError as error:
+        raise ValueError(f"cannot read {name}: {error.strerror}") from error
+    if len(data) > LONGEST:
+        raise ValueError(f"{name} is longer than {LONGEST} bytes")
+    return data.decode("latin-1")
+
+
+def _path_named(folder: Path, name: str, key: str) -> Path:
+    path, example = Path(name), FILES[key]
+    suffix = Path(example).suffix
+    if path.is_absolute() or ".." in path.parts or path.suffix.lower() != suffix:
+        raise ValueError(f'a {suffix} file next to this one is expected, for instance "{example}", not "{name}"')
+    return folder / path

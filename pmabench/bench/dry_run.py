@@ -23,9 +23,9 @@ import numpy as np
 from pmabench.base.errors import UsageError
 from pmabench.base.quantities import show, without_number
 from pmabench.bench.compile import Mounted
+from pmabench.bench.driver_options import driver_class
 from pmabench.bench.files.specimen import ExpectedFile, ExpectedPoint, SpecimenFile
 from pmabench.bench.interface import CompiledBench, DeviceRecord, ValveRecord
-from pmabench.bench.registry import driver_class
 from pmabench.model.published_muscles import USUAL_ANGLE as BRAID_ANGLE
 from pmabench.model.published_muscles import braid_surface, find_type
 from pmabench.model.real.muscle import Surface

@@ -6,10 +6,11 @@ Values that cross this interface are in the device's own units (counts, volts, p
 next to them in the records and is done above the driver. Raises only `pmabench.base.errors.DeviceError`.
 
 In real time each device has one thread that calls it. A call returns within 0.2 s (`open` within 2 s) or raises; no
-write is retried; after a time-out the line is drained, so that no answer is taken for that of a later question.
+write is retried but one that the device answered with "busy"; after a time-out the line is drained, so that no answer
+is taken for that of a later question.
 `collect` never waits for a sample: a polled device has its own polling thread. Optional class methods are called
 before anything is opened (`pmabench.bench.driver_options`): `check(device)` yields mistakes in the options,
-`fastest(device)` returns the highest sampling rate with them, `lacks(device)` yields their possible surprises.
+`fastest(device)` returns the highest sampling rate with them.
 The records are all that guard, engine and drivers know of a bench file, and are sent to other processes as JSON. Values
 are SI; a `Scale` converts device units. `Truth` is the actual wiring of the devices of a rig, for emulators.
 """

@@ -15,7 +15,6 @@ from pmabench.bench.safety import ENDS, SUPPLY_MARGIN, watched_by
 def lacks(c: Compilation) -> Iterator[str]:
     """Lines that continue the sentence "this bench has"; a relief valve that protects nothing is added as a problem."""
     yield from _air(c)
-    yield from c.driver_lacks
     yield from _calibrations(c)
     if c.bench.weights is not None and c.bench.weights.catch_height is None:
         yield (

@@ -1,21 +1,100 @@
-"""Truth files to plain numbers for an emulator: wiring and scales that do not come from the bench file under test."""
+"""Truth file of an emulated bench, and the truth of a rig as plain numbers.
+
+A truth file states what is really wired to which terminal, with scales from the data sheets: they do not come from the
+bench file under test.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
 
 from pmabench.base.errors import InvalidFile, Problem
 from pmabench.base.quantities import CHANNEL_QUANTITY
 from pmabench.bench import interface as b
 from pmabench.bench.channels import fit_line
-from pmabench.bench.driver_options import DBC, LONGEST, MAP, loaded
-from pmabench.bench.files.emulated import ActuatorFile, DeviceTruth, Line, TruthFile
-from pmabench.bench.registry import driver_class
-from pmabench.files.document import Document, Location, read_document, validate
+from pmabench.bench.driver_options import DBC, MAP, driver_class, loaded, read_named_file
+from pmabench.bench.files.specimen import Name, Reading, Text
+from pmabench.files.document import Document, Location, Strict, read_document, validate
 from pmabench.files.quantity import unit_factor
 from pmabench.files.shipped import shipped_folder
+
+Line = tuple[tuple[Reading, Reading], tuple[Reading, Reading]]
+"""Two points of a straight line."""
+Terminal = Annotated[str, Field(min_length=1, max_length=80)]
+Source = Annotated[str, Field(min_length=1, max_length=400)]
+"""Data sheet or page with the numbers."""
+
+
+class SensorFile(Strict):
+    """What is measured at one terminal: the sensor from signal to quantity, the device from digits to signal."""
+
+    measures: Literal[
+        "pressure", "displacement", "force", "supply", "angle", "pressure_command", "displacement_command"
+    ]
+    sensor: Line
+    device: Line | None = None
+    """Scale of the device, if it does not give the signal itself but for instance counts for volts."""
+    source: Source
+
+
+class ActuatorFile(Strict):
+    """What a set-point moves: the actuator from its signal to the quantity, the device from digits to signal."""
+
+    drives: Literal["pressure", "displacement"]
+    actuator: Line
+    device: Line | None = None
+    step: Reading | None = None
+    """Smallest step of the device."""
+    range: tuple[Reading, Reading] | None = None
+    """Ends of the travel of a drive."""
+    source: Source
+
+
+class ValveTruth(Strict):
+    """A valve on a digital output."""
+
+    valve: Literal["dump_valve"]
+    energised: Literal["closed", "open"]
+    """Position while energised."""
+    source: Source
+
+
+class ContactTruth(Strict):
+    """A contact on a digital input."""
+
+    contact: Name
+    """A contact whose name has "stop" in it is the emergency stop."""
+    released: Literal["high", "low"]
+    """Level while it is not pressed."""
+    source: Source
+
+
+class DeviceTruth(Strict):
+    """One device: which it is, how it is set up, and what is wired to it by terminal."""
+
+    driver: str
+    """Name of its driver."""
+    options: dict[str, Any] = {}
+    """Settings of the device, as options of its driver; its address is in the bench file."""
+    inputs: dict[Terminal, SensorFile] = {}
+    outputs: dict[Terminal, ActuatorFile] = {}
+    valves: dict[Terminal, ValveTruth] = {}
+    contacts: dict[Terminal, ContactTruth] = {}
+
+
+class TruthFile(Strict):
+    """What a rig really is, written from data sheets and not from the bench file that is to be proven."""
+
+    schema_: Annotated[Literal["pmabench.truth/1"], Field(alias="schema")]
+    name: Annotated[str, Field(min_length=1, max_length=80)]
+    note: Text = ""
+    devices: Annotated[dict[Name, DeviceTruth], Field(min_length=1)]
+    """Devices by their names in the bench file."""
+
 
 ENDLESS = 1e9
 NOWHERE = "127.0.0.1:0"
@@ -125,28 +204,16 @@ class _Device:
     def _options(self) -> dict[str, Any]:
         """Options, with the names of a register map or DBC file next to this file replaced by its content."""
         options = dict(self.file.options)
-        for key, suffix in ((MAP, ".yaml"), (DBC, ".dbc")):
-            name = options.get(key)
-            if not isinstance(name, str):
-                continue
-            if Path(name).is_absolute() or ".." in Path(name).parts or Path(name).suffix != suffix:
-                self.fault(("options", key), f'a {suffix} file next to this one is expected, not "{name}"')
-                continue
-            try:
-                path = self._folder / name
-                options[key] = read_document(path).data if key == MAP else _text(path)
-            except InvalidFile as error:
-                self.problems += error.problems
-            except (OSError, ValueError) as error:
-                self.fault(("options", key), f"cannot read {name}: {getattr(error, 'strerror', '') or error}")
+        for key in (MAP, DBC):
+            if isinstance(name := options.get(key), str):
+                try:
+                    found = read_named_file(self._folder, name, key)
+                    options[key] = found if isinstance(found, str) else found.data
+                except InvalidFile as error:
+                    self.problems += error.problems
+                except ValueError as error:
+                    self.fault(("options", key), str(error))
         return options
-
-
-def _text(path: Path) -> str:
-    data = path.read_bytes()
-    if len(data) > LONGEST:
-        raise ValueError(f"longer than {LONGEST} bytes")
-    return data.decode("latin-1")
 
 
 def _refused_by_driver(device: _Device, record: b.DeviceRecord) -> Iterator[Problem]:

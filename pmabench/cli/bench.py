@@ -196,8 +196,8 @@ def who_answers(driver: str, address: str, options: Sequence[str]) -> dict[str, 
     `options` are those of a bench file, as name=value. Raises UsageError where they cannot be read, DeviceError where
     the driver refuses them or nobody answers.
     """
+    from pmabench.bench.driver_options import driver_class, verified
     from pmabench.bench.interface import DeviceRecord
-    from pmabench.bench.registry import driver_class, verified
     from pmabench.guard.links import OPENS_WITHIN, load_driver
     from pmabench.guard.owner import Owner
 

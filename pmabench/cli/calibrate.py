@@ -123,7 +123,7 @@ def _run(ui: Ui, mounted: Mounted, request: Request, out: Path, operator: str, *
 
 
 def _write(mounted: Mounted, request: Request, done: Calibrated, into: Path, until: date | None) -> Path:
-    from pmabench.session.calibration_file import write_calibration
+    from pmabench.session.calibration import write_calibration
 
     assert done.fit is not None and done.outcome.folder is not None  # noqa: S101, PT018  (looked at before)
     read = " (not read: nominal values, --yes)" if request.nominal and request.channel != "pressure_command" else ""

@@ -116,17 +116,15 @@ def _open(mounted: Mounted) -> list[str]:
 def plan_summary(plan: Plan, mounted: Mounted) -> dict[str, Any]:
     """Duration, rows, bytes, and each command's range next to the active limits, in SI.
 
-    The duration holds the session that comes first, where the bench declares one and none counts now.
+    The duration does not include a session, which comes first where the bench declares one and none counts now.
     """
-    from pmabench.session.session import kept, out_of_date, session_length, utc_now
+    from pmabench.session.session import kept, out_of_date, parts, utc_now
 
     shortest, longest = plan.duration()
     session = None
-    if (length := session_length(mounted)) is not None:
+    if mounted.session is not None:
         why = out_of_date(kept(mounted.bench.name), mounted, utc_now())
-        session = {**vars(length), "parts": list(length.parts), "due": bool(why), "because": why}
-        if why:
-            shortest, longest = shortest + length.shortest, longest + length.longest
+        session = {"parts": parts(mounted), "due": bool(why), "because": why}
     return {
         "schema": "pmabench.check/1",
         **fields(plan, "kind", "name", "source", "hazards"),
@@ -169,15 +167,12 @@ def _print(ui: Ui, plan: Plan, summary: dict[str, Any], warnings: list[str]) -> 
     length = in_words(shortest)
     length += f" to {in_words(longest)}, if every wait takes its longest" if shortest != longest else ""
     asks, session = sum(step.kind == "ask" for step in plan.steps), summary["session"]
-    if session is not None and session["due"]:
-        asks += session["hands"]
     times = "1 time" if asks == 1 else f"{asks} times"
     hands = f"{length}; without the operator's time; hands are needed {times}"
     console.print(labelled("length", hands, console.width))
     if session is not None and session["due"]:
         parts = ", ".join(session["parts"]) or "nothing in it"
-        least = f"at least {in_words(session['shortest'])}, hands {session['hands']}"
-        console.print(labelled("", f"the session before it is in that: {parts}, {least}", console.width))
+        console.print(labelled("", f"a session comes first and is not in that: {parts}", console.width))
     elif session is not None:
         console.print("            no session before it: the last one still counts")
     console.print(

@@ -40,7 +40,7 @@ def command() -> None:
 @common
 def list_(ui: Ui) -> None:
     """List the drivers that are installed, what each can do, and on what it was verified."""
-    from pmabench.bench.registry import drivers
+    from pmabench.bench.driver_options import drivers
 
     rows = [_driver(name, target) for name, target in sorted(drivers().items())]
     table = [[row["name"], row["verified"], row["problem"] or ", ".join(row["can"])] for row in rows]
@@ -50,7 +50,7 @@ def list_(ui: Ui) -> None:
 
 def _driver(name: str, target: str) -> dict[str, Any]:
     from pmabench.bench import interface
-    from pmabench.bench.registry import verified
+    from pmabench.bench.driver_options import verified
 
     try:
         made = load(target)

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from pmabench.base.errors import InvalidFile, Problem, RecordError, UsageError, did_you_mean
+from pmabench.base.errors import InvalidFile, Problem, RecordError, UsageError, did_you_mean, reading
 from pmabench.cli.common import Ui, common
 from pmabench.cli.names import BENCH, FILE
 from pmabench.files.shipped import find_file
@@ -47,7 +47,7 @@ NOT_PROVEN = "scales not proven: wiring and scales are taken from the bench file
 )
 @click.option("--seed", type=int, default=1, show_default=True, help="Seed of the noise.")
 @click.option("--log", type=FILE, help="Append every exchange as JSON lines.")
-@click.option("--faults", type=FILE, help="YAML file of what goes wrong, and when.")
+@click.option("--faults", type=FILE, help="File of lines as typed, each with the time when it happens.")
 @click.option("--truth", help="What is really wired, and by which scales: a shipped rig's name, or a truth file.")
 @click.option("--expose", is_flag=True, help="Serve also at addresses that other machines can reach.")
 @click.option("--control", type=click.IntRange(0, 65535), default=0, help="Port for loads and faults; 0: a free one.")
@@ -203,34 +203,23 @@ class Faults:
         self._served, self._gravity, self._carriage = served, gravity, carriage
 
     def of_file(self, path: Path) -> list[Happening]:
-        """All requests of a file; raises InvalidFile with every problem."""
-        from pmabench.bench.files.emulated import FaultsFile
-        from pmabench.files.document import read_document, validate
-
-        document = read_document(path)
+        """The requests of a file of such lines, `#` for comments; raises InvalidFile with every problem."""
         found: list[Happening] = []
         problems: list[Problem] = []
-        for index, event in enumerate(validate(FaultsFile, document).faults):
-            key = "plant"
+        with reading(path):
+            lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+        for number, line in enumerate(lines, 1):
+            text = line.partition("#")[0].strip()
             try:
-                if event.load is not None:
-                    found.append(Happening(event.after, self.load(*event.load)))
-                elif event.plant is not None:
-                    found += self.plant(event.plant, event.after, event.lasts)
-                else:
-                    device, fault = str(event.device), str(event.fault)
-                    key = "fault" if device in self._served.devices else "device"
-                    self._served.kind(device, fault)
-                    key = "value" if event.value is not None else "fault"
-                    found += self.device(device, fault, event.value, event.count, event.after, event.lasts)
+                found += self.of_line(text) if text else []
             except ValueError as error:
-                problems.append(document.problem(("faults", index, key), str(error)))
+                problems.append(Problem(str(path), number, 1, str(error)))
         if problems:
             raise InvalidFile(problems)
         return found
 
     def of_line(self, line: str) -> list[Happening]:
-        """The requests of a typed line; raises ValueError for one that cannot be understood."""
+        """The requests of a line; raises ValueError for one that cannot be understood."""
         from pmabench.files.quantity import parse_mass_or_force, parse_quantity
 
         given = {key: value.strip() for key, value in OPTION.findall(line)}
@@ -242,6 +231,10 @@ class Faults:
         number = given.get("count")
         if number is not None and not (number.isdecimal() and 0 < int(number) <= 1_000_000):
             raise ValueError(f'"count" takes a whole number from 1, not "{number}"')
+        if (word != "fault" and number is not None) or (word == "load" and lasts is not None):
+            raise ValueError(
+                '"count" belongs to the fault of a device; a load stays until another one comes, without "for"'
+            )
         if word == "load":
             return [Happening(after, self.load(*parse_mass_or_force(rest)))]
         if word == "plant":
@@ -269,7 +262,7 @@ class Faults:
         return found + ([] if lasts is None else [Happening(after + lasts, {"plant": name, "over": True})])
 
     def device(
-        self, device: str, fault: str, value: Any, number: Any, after: float, lasts: float | None
+        self, device: str, fault: str, value: str | None, number: Any, after: float, lasts: float | None
     ) -> list[Happening]:
         """Requests for a fault of a device and for its end."""
         wanted = {"device": device, "fault": fault, "value": _value(self._served.kind(device, fault), fault, value)}
@@ -278,7 +271,7 @@ class Faults:
         return found if lasts is None else [*found, Happening(after + lasts, end)]
 
 
-def _value(kind: Any, fault: str, value: Any) -> float | None:
+def _value(kind: Any, fault: str, value: str | None) -> float | None:
     """The size of a fault, in SI where it has a unit."""
     from pmabench.files.quantity import parse_quantity
 
@@ -292,6 +285,6 @@ def _value(kind: Any, fault: str, value: Any) -> float | None:
             raise ValueError(f'"{value}": a time is not below zero')
         return number
     pattern = r"\d{1,9}" if kind.takes == "number" else r"\d{1,9}(\.\d+)?"
-    if isinstance(value, bool) or not re.fullmatch(pattern, str(value)):
+    if not re.fullmatch(pattern, value):
         raise ValueError(f'"{fault}" takes a {"whole " if kind.takes == "number" else ""}number, not "{value}"')
     return float(value)

@@ -92,13 +92,11 @@ def publish(
     ui.begin("putting the publication together")
     from pmabench.cli.sources import Sources
     from pmabench.kinds.reduce import of_one_specimen
-    from pmabench.plotting.svg import draw_lean
     from pmabench.report.document.content import content_of, page_of
     from pmabench.report.document.provenance import operators
     from pmabench.report.publishing.package import publish
     from pmabench.store.folder import files_of
 
-    draw_lean()
     analyses, runs = Sources.of(ui, sources, fresh=fresh).analysed(ui)
     page = page_of(content_of(analyses, of_one_specimen(runs), title=about.title or None))
     publish(analyses, runs, page, about, output)

@@ -62,7 +62,6 @@ KINDS = (
     "campaign",
     "cascade",
     "map",
-    "faults",
     "registers",
     "plant",
     "truth",
@@ -114,7 +113,7 @@ def _schema(kind: str) -> dict[str, Any]:
 
 def _of_driver(name: str) -> dict[str, Any]:
     """The schema of the map files of a driver, which its `map_schema` gives."""
-    from pmabench.bench.registry import driver_class
+    from pmabench.bench.driver_options import driver_class
 
     schema: dict[str, Any] = load(driver_class(name)).map_schema()
     return schema
@@ -124,9 +123,9 @@ def _of_models(kind: str) -> dict[str, Any]:
     from pydantic import BaseModel, Field, TypeAdapter
 
     from pmabench.bench.files.bench import BenchFile
-    from pmabench.bench.files.emulated import FaultsFile, TruthFile
     from pmabench.bench.files.plant import AnyPlant
     from pmabench.bench.files.specimen import CalibrationFile, SpecimenFile
+    from pmabench.bench.truth import TruthFile
     from pmabench.kinds import registry
     from pmabench.kinds.compile import CampaignFile, kind_class
     from pmabench.protocol.cascade import CascadeFile
@@ -149,7 +148,6 @@ def _of_models(kind: str) -> dict[str, Any]:
         "campaign": CampaignFile,
         "cascade": CascadeFile,
         "map": MapFile,
-        "faults": FaultsFile,
         "truth": TruthFile,
     }
     return models[kind].model_json_schema()

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 import click
 
 from pmabench.base.errors import UsageError
-from pmabench.base.quantities import CHANNEL_QUANTITY
 from pmabench.base.text import printable
 from pmabench.cli.common import Ui, common, fields, no_overwriting
 from pmabench.cli.names import PATH
@@ -20,19 +19,12 @@ from pmabench.files.shipped import find_file
 
 if TYPE_CHECKING:
     from pmabench.store.importers.guess.columns import Guess
-    from pmabench.store.importers.guess.write import Span
 
 
 @click.command(name="import")
 @click.argument("files", nargs=-1, required=True, type=PATH, metavar="FILE...")
 @click.option("--map", "map_name", help="Map file, or the name of a shipped one.")
 @click.option("--guess", "guessing", is_flag=True, help="Propose a map with its reasons, and import nothing.")
-@click.option(
-    "--span",
-    multiple=True,
-    metavar="CHANNEL=LOW..HIGH",
-    help='With --guess: what a sensor measures, "pressure=0 bar..12 bar".',
-)
 @click.option("-o", "--output", type=PATH, help="With --guess: where the map is written.")
 @click.option(
     "--set",
@@ -53,7 +45,6 @@ def command(
     files: tuple[Path, ...],
     map_name: str | None,
     guessing: bool,
-    span: tuple[str, ...],
     output: Path | None,
     answers: tuple[str, ...],
     out: Path,
@@ -61,11 +52,11 @@ def command(
     unresolved: bool,
 ) -> None:
     """Make one run of each FILE, as the map says; the files themselves are never touched."""
-    if guessing == (map_name is not None) or (not guessing and (span or output)) or (guessing and answers):
-        raise UsageError("give --map to import, or --guess (with --span and -o) to have a map proposed")
+    if guessing == (map_name is not None) or (not guessing and output) or (guessing and answers):
+        raise UsageError("give --map to import, or --guess (with -o) to have a map proposed")
     ui.begin(f"reading {len(files)} {'file' if len(files) == 1 else 'files'}")
     if guessing or map_name is None:
-        guess(ui, files, span, output)
+        guess(ui, files, output)
         return
     from pmabench.kinds.registry import importable
     from pmabench.store.importers.importing import import_files
@@ -103,11 +94,7 @@ def command(
     ui.result(data, human, [str(run.path) for run in runs])
 
 
-SECONDS = 10.0
-"""Shown of the beginning."""
-
-
-def guess(ui: Ui, files: Sequence[Path], spans: Sequence[str], output: Path | None) -> None:
+def guess(ui: Ui, files: Sequence[Path], output: Path | None) -> None:
     """Report what the files seem to hold, and write the map where `output` says."""
     from pmabench.files.document import Document
     from pmabench.kinds.registry import importable
@@ -116,10 +103,9 @@ def guess(ui: Ui, files: Sequence[Path], spans: Sequence[str], output: Path | No
     from pmabench.store.importers.guess.write import map_text, still_open
     from pmabench.store.importers.map_file import questions_of
 
-    time_spans = dict(map(_span, spans))
     no_overwriting(output)
     found = guess_files(files, importable())
-    text = map_text(found, time_spans)
+    text = map_text(found)
     left = still_open(text)
     questions = questions_of(Document("map" if output is None else str(output), text))
     if output is not None:
@@ -134,7 +120,6 @@ def guess(ui: Ui, files: Sequence[Path], spans: Sequence[str], output: Path | No
         "left_out": found.left_out,
         "reasons": found.reasons,
         "doubts": found.doubts,
-        "known": found.known or None,
         "open": left,
         "questions": [vars(question) for question in questions],
         "map": text,
@@ -161,33 +146,12 @@ def guess(ui: Ui, files: Sequence[Path], spans: Sequence[str], output: Path | No
     ui.result(data, human, [] if output is None else [str(output)])
 
 
-def _span(text: str) -> tuple[str, Span]:
-    from pmabench.files.quantity import raw_quantity, unit_factor
-    from pmabench.store.importers.guess.write import Span
-
-    role, _, ends = text.partition("=")
-    low, _, high = ends.partition("..")
-    if role not in CHANNEL_QUANTITY or not high:
-        raise UsageError(f'--span {text}: say CHANNEL=LOW..HIGH with units, for instance "pressure=0 bar..12 bar"')
-    try:
-        begin, end = raw_quantity(low), raw_quantity(high)
-        for _, unit in (begin, end):
-            unit_factor(unit, CHANNEL_QUANTITY[role])
-    except ValueError as error:
-        raise UsageError(f"--span {text}: {error}") from error
-    if begin[1] != end[1] or begin[0] == end[0]:
-        raise UsageError(f"--span {text}: both ends have the same unit, and they differ")
-    return role, Span(begin[0], end[0], begin[1])
-
-
 def _show(found: Guess) -> None:
     """Layout, columns, and what is doubtful."""
     click.echo(printable(f"{found.files[0]}{f' and {len(found.files) - 1} more' if len(found.files) > 1 else ''}"))
     for key in ("file", "sampling", "trials", "name_tells"):
         for reason in found.reasons.get(key, []):
             click.echo(printable(f"  {reason}"))
-    if found.known:
-        click.echo(f"  the shipped map {found.known} takes them as they are: --map {found.known}")
     for column in found.columns:
         role = column.role.replace("_", " ") + (f" [{column.unit}]" if column.unit and column.role != "ignore" else "")
         click.echo("\n" + printable(f"{column.name}: {role}"))

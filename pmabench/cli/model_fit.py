@@ -42,8 +42,6 @@ MOST_CORRELATED = 8
 @click.option("--set", "settings", multiple=True, callback=pairs, metavar="NAME=VALUE", help="An input that is known.")
 @click.option("--start", "starts", multiple=True, callback=pairs, metavar="NAME=VALUE", help="Where to begin.")
 @click.option("--output", metavar="NAME", help="What was measured, where the table has several outputs.")
-@click.option("--column", "renamed", multiple=True, callback=pairs, metavar="NAME=HEAD", help="A column of other name.")
-@click.option("--only", multiple=True, callback=pairs, metavar="COLUMN=TEXT", help="Rows with this text.")
 @click.option(
     "--within", multiple=True, callback=pairs, metavar="NAME=RANGE", help='Rows in it: "FIRST..LAST" with units.'
 )
@@ -61,7 +59,7 @@ def fit(
     *,
     as_csv: bool,
     plot: Path | None,
-    **rows: Any,
+    output: str | None,
 ) -> int | None:
     """Fit inputs of MODEL to the rows of a table with units in its head.
 
@@ -75,7 +73,7 @@ def fit(
     model = named_model(name)
     given, _ = read_inputs(model, settings, [])
     begin, _ = read_inputs(model, starts, [], option="--start")
-    measured = read_measured(model, table, ranges=_ranges(model, within), given=list(given), **rows)
+    measured = read_measured(model, table, ranges=_ranges(model, within), given=list(given), output=output)
     found = _fit(model, measured, given, begin, free)
     if plot is not None:
         from pmabench.report.fit_figure import write_fit

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from math import inf
 from pathlib import Path
@@ -59,20 +59,16 @@ def read_measured(
     path: Path,
     *,
     output: str | None,
-    renamed: Sequence[tuple[str, str]],
-    only: Sequence[tuple[str, str]],
     ranges: Mapping[str, tuple[float, float]],
     given: Sequence[str],
 ) -> Measured:
-    """The inputs and the one output that the table has; `renamed` are (name in the model, head in the table).
-
-    `only` are (column, text) of the rows that count, `ranges` the ends of inputs and output [SI] that do.
+    """The inputs and the one output that the table has; rows count between the `ranges` of inputs and output [SI].
 
     A folder is an analysis: its table of coefficients. Raises UsageError, InvalidFile.
     """
     notes: list[str] = []
-    table = _only(read_table(path / "coefficients.csv" if path.is_dir() else path), only)
-    inputs, outputs, unused, problems = _columns(model, table, renamed)
+    table = read_table(path / "coefficients.csv" if path.is_dir() else path)
+    inputs, outputs, unused, problems = _columns(model, table)
     if problems:
         raise InvalidFile(problems)
     twice = [name for name in inputs if name in given]
@@ -86,8 +82,8 @@ def read_measured(
     idle = [head for head in idle if not split_head(head)[0].endswith(HALF)]
     if idle and not path.is_dir():
         notes.append("not used: column " + ", ".join(f'"{head}"' for head in idle))
-    if path.is_dir() and not only:
-        table, inputs, outputs = _one_method(model, table, chosen, renamed, notes)
+    if path.is_dir():
+        table, inputs, outputs = _one_method(model, table, chosen, notes)
     names = list(inputs)
     quantities = {p.name: p.quantity for p in model.parameters} | {o.name: o.quantity for o in model.outputs}
     read = [*inputs.items(), (chosen, outputs[chosen])]
@@ -137,20 +133,10 @@ Found = dict[str, tuple["Column", "str | None"]]
 
 def columns_of(model: Model, table: Table) -> tuple[Found, list[str]]:
     """Columns of inputs by name with their units, and the heads of all other columns. Raises InvalidFile."""
-    inputs, outputs, unused, problems = _columns(model, table, ())
+    inputs, outputs, unused, problems = _columns(model, table)
     if problems:
         raise InvalidFile(problems)
     return inputs, [*unused, *(column.head.text for column, _ in outputs.values())]
-
-
-def _only(table: Table, rows: Sequence[tuple[str, str]]) -> Table:
-    """The rows with these texts in these columns. Raises UsageError."""
-    try:
-        for column, text in rows:
-            table = table.only(column, text)
-    except ValueError as error:
-        raise UsageError(f"--only: {error}") from None
-    return table
 
 
 def _chosen_output(model: Model, table: Table, outputs: Found, wanted: str | None) -> str:
@@ -168,9 +154,7 @@ def _chosen_output(model: Model, table: Table, outputs: Found, wanted: str | Non
     return wanted or next(iter(outputs))
 
 
-def _columns(
-    model: Model, table: Table, renamed: Sequence[tuple[str, str]]
-) -> tuple[Found, Found, list[str], list[Any]]:
+def _columns(model: Model, table: Table) -> tuple[Found, Found, list[str], list[Any]]:
     """Columns of inputs and outputs by name with their units, heads that are neither, and problems."""
     inputs: Found = {}
     outputs: Found = {}
@@ -178,31 +162,18 @@ def _columns(
     problems: list[Any] = []
     wanted = _wanted(model)
     names = [item.names[0] for item in wanted]
-    taken: dict[str, str] = {}
-    for name, head in renamed:
-        if name not in names:
-            hint = did_you_mean(name, names)
-            raise UsageError(f'--column {name}: {model.name} has no input or output "{name}"{hint}')
-        heads = {column.head.text: column.head.text for column in table.columns}
-        heads |= {column.name: column.head.text for column in table.columns}
-        if head not in heads:
-            raise UsageError(f'--column {name}: {table.path} has no column "{head}"{did_you_mean(head, heads)}')
-        taken[heads[head]] = name
     own = {p.name for p in model.parameters}
     for column in table.columns:
         if not any(cell.text for cell in column.cells):
             continue  # of an analysis that does not know it
-        head = column.head.text
-        if head in taken:
-            name, unit = taken[head], column.unit
-        elif (item := meaning(column, [w for w in wanted if w.names[0] not in taken.values()])) is not None:
-            name, unit = item[0].names[0], item[1]
-        else:
+        item = meaning(column, wanted)
+        if item is None:
             if near := get_close_matches(column.name, names, n=1, cutoff=CLOSE):
                 problem = f'"{column.name}" is no input or output; did you mean "{near[0]}"?'
                 problems.append(table.problem(column.head, problem))
-            unused.append(head)
+            unused.append(column.head.text)
             continue
+        name, unit = item[0].names[0], item[1]
         into = inputs if name in own else outputs
         if name in into:
             problems.append(table.problem(column.head, f"a second column of {name}"))
@@ -224,20 +195,20 @@ def _wanted(model: Model) -> list[Wanted]:
     return found
 
 
-def _one_method(
-    model: Model, table: Table, chosen: str, renamed: Sequence[tuple[str, str]], notes: list[str]
-) -> tuple[Table, Found, Found]:
+def _one_method(model: Model, table: Table, chosen: str, notes: list[str]) -> tuple[Table, Found, Found]:
     """An analysis' table has a row per method: the first that gives the output."""
-    inputs, outputs, _, _ = _columns(model, table, renamed)
+    inputs, outputs, _, _ = _columns(model, table)
     method_column = next((column for column in table.columns if column.name == "method"), None)
     if method_column is not None:
         has = zip(method_column.cells, outputs[chosen][0].cells, strict=True)
         given = list(dict.fromkeys(method.text for method, cell in has if cell.text))
         if len(given) > 1:
             others = ", ".join(given[1:])
-            notes.append(f'method "{given[0]}"; there are also: {others} (--only "method=...")')
-            table = table.only("method", given[0])
-            inputs, outputs, _, _ = _columns(model, table, renamed)
+            notes.append(f'method "{given[0]}"; there are also: {others}; for these give a CSV with their rows')
+            rows = [row for row, cell in enumerate(method_column.cells) if cell.text == given[0]]
+            columns = (replace(column, cells=tuple(column.cells[row] for row in rows)) for column in table.columns)
+            table = replace(table, columns=tuple(columns))
+            inputs, outputs, _, _ = _columns(model, table)
     return table, inputs, outputs
 
 

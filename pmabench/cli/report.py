@@ -107,12 +107,10 @@ def _written(
     """Write the report in each format that is wanted, `about` as in `content_of`: its content, files and page."""
     from pmabench.cli.sources import since_lines
     from pmabench.kinds.reduce import of_one_specimen
-    from pmabench.plotting.svg import draw_lean
     from pmabench.report.document.content import content_of, page_of
     from pmabench.report.many import added_to
     from pmabench.report.writing import KeptPage, write_file
 
-    draw_lean()
     page = KeptPage("", added_to(runs)["since"], since_lines(runs))
     for line in page.remarks:
         ui.note(line)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -239,8 +238,6 @@ def _with_loop(pairs: Pairs, dead_time: str | None, lags: tuple[str, ...]) -> tu
 
 
 def _print(ui: Ui, gains: tuple[Gains, ...]) -> None:
-    from pmabench.model.loop import MOST
-
     def cell(estimate: Any) -> str:
         if estimate is None or estimate.value is None:
             return ""
@@ -251,18 +248,13 @@ def _print(ui: Ui, gains: tuple[Gains, ...]) -> None:
 
     heads = ["rule", "K_p", "T_i", "T_d", "K_i", "K_d"]
     if any(row.margins is not None for row in gains):
-        heads += ["M_s", "gain margin", "phase margin", "overshoot", "settling"]
+        heads += ["M_s", "gain margin", "phase margin"]
     rows = []
     for row in gains:
         cells = [cell(e) for e in (row.K_p, row.T_i, row.T_d, row.K_i, row.K_d)]
         if row.margins is not None:
-            cells += [f"{row.margins.M_s:.2f}", f"{row.margins.gain_margin:.2f}"]
+            cells += [f"{row.margins.M_s:.2f}" if row.margins.stable else "unstable", f"{row.margins.gain_margin:.2f}"]
             cells.append(QUANTITIES["angle"].show(row.margins.phase_margin, 3))
-            if row.answer is not None:
-                overshoot, settling = row.answer.overshoot, row.answer.settling
-                cells.append(f"{100 * overshoot:.0f} %" if isfinite(overshoot) else "unstable")
-                later = f"later than {MOST} T_u" if isfinite(overshoot) else "never"
-                cells.append(f"{settling:.3g} s" if isfinite(settling) else later)
         rows.append([row.rule.title, *cells, *[""] * (len(heads) - 1 - len(cells))])
     print_grid(ui.console(), heads, rows, ("rule",))
 

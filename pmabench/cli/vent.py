@@ -196,7 +196,8 @@ def _reset(station: Station, saved: dict[str, Any], operator: str, because: str)
                 raise LimitRefused(f"vented, and not reset: {error}") from error
             time.sleep(0.05)
     was = station.latched()
-    station.note("safe", why="reset", operator=operator, because=because, was=was, bench=saved.get("name", ""))
+    if was:  # a bench that was not tripped keeps its session
+        station.note("safe", why="reset", operator=operator, because=because, was=was, bench=saved.get("name", ""))
     return was
 
 

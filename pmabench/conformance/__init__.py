@@ -5,7 +5,7 @@
 starts emulator and driver, measures the duration of calls, and asks the emulator for the actual state of plant and
 device; between the two is a `relay` (TCP or serial) that damages bytes.
 
-Nothing is ever tested on a device that does not report over its connection that it is emulated.
+Nothing is ever commanded at a device that neither reports that it is emulated nor was asked through the relay.
 """
 
 from pmabench.conformance.rig import FAILED, NOT_APPLICABLE, NOT_CHECKED, PASSED, Result

@@ -233,6 +233,7 @@ def from_outside(rig: Rig) -> str:
             with rig.opened() as device:
                 rig.call("write()", device.write, output.output, at(output, 0.4)).good()
                 reaches(rig, truth, output, at(output, 0.4), MOVES if output.quantity == "length" else ARRIVES)
+                rig.call("read_back()", device.read_back, output.output).judged()  # what was read may be kept, too
                 if why or not _changes(rig, truth, way, output.output, at(output, 0.2)):
                     unchecked.append(f"{output.name} {way} ({why or 'the emulator has no such change'})")
                     continue
@@ -246,6 +247,7 @@ def from_outside(rig: Rig) -> str:
         for valve in rig.record.valves:
             with rig.opened() as device:
                 rig.call("switch(on=True)", device.switch, valve.output, on=True).good()
+                rig.call("is_on()", device.is_on, valve.output).judged()
                 if not _changes(rig, truth, way, valve.output, 0.0):
                     unchecked.append(f"{valve.name} {way} (the emulator has no such change)")
                     continue

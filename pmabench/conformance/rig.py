@@ -322,9 +322,9 @@ class Rig:
             device, self.device = self.device, None
             self.call("close()", device.close).judged(COLLECTS_WITHIN)
             raise Failed(
-                f"open() reached {identity.model or 'a device'} past the emulator, which sent nothing, and it gives "
-                "simulated=False: it may drive a muscle, and nothing is commanded. Let the driver open only the "
-                "address of its record"
+                f"open() reached {identity.model or 'a device'} past the emulator, with which nothing was exchanged; "
+                "it gives simulated=False: it may drive a muscle, and nothing is commanded. Let the driver open only "
+                "the address of its record"
             )
         if armed and self.record.watchdog and isinstance(self.device, Watchdog):
             self.call("arm_watchdog()", self.device.arm_watchdog, self.record.watchdog).good()
@@ -332,8 +332,9 @@ class Rig:
         return identity
 
     def _heard(self) -> int:
-        """How many pieces the emulator has sent so far."""
-        return sum(from_device for relay in self.relays for from_device, _ in relay.heard)
+        """How many pieces have passed so far: from the driver if it commands, as an emulator may send by itself."""
+        commands = bool(self.record.outputs or self.record.valves)
+        return sum(from_device != commands for relay in self.relays for from_device, _ in relay.heard)
 
     def shut(self) -> None:
         """Close the driver, if there is one, and disarm its watchdog."""

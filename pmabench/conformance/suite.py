@@ -20,8 +20,8 @@ from typing import Any
 from pmabench.base.errors import DeviceError, InvalidFile, UsageError
 from pmabench.bench import interface
 from pmabench.bench.compile import mount_alone
+from pmabench.bench.driver_options import driver_class, drivers
 from pmabench.bench.interface import EMULATED, Block, Device, DeviceRecord, Identity, Truth
-from pmabench.bench.registry import driver_class, drivers
 from pmabench.bench.truth import read_truth, truth_of
 from pmabench.conformance import broken_wire, commands, following, samples
 from pmabench.conformance import rig as r

@@ -165,6 +165,9 @@ class Console:
     def __post_init__(self) -> None:
         self.state = RunState(self.folder)
         self._keys: terminal.Keyboard | None = None
+        self._reading = threading.Lock()
+        self._evaluating = threading.Event()
+        """Set while what is new in the run is read and evaluated."""
         self._parent = os.getppid()
         self._asked: dict[str, Any] | None = None
         self._typed = self._refused = ""
@@ -192,9 +195,12 @@ class Console:
 
     def _run_drawn(self, painter: Painter) -> None:
         prepared = ""
+        threading.Thread(target=self._read_keys_meanwhile, name="keys", daemon=True).start()
         while not self._over:
             started = time.monotonic()
+            self._evaluating.set()
             behind = self.state.poll()
+            self._evaluating.clear()
             if self.state.kind != prepared:
                 prepared = self.state.kind
                 threading.Thread(target=prepare, args=(prepared,)).start()
@@ -299,10 +305,24 @@ class Console:
             return self._listen()
         sources = [keys.fd] + ([self.link.fileno()] if self.link is not None and not self.link.closed else [])
         ready = select.select(sources, [], [], seconds)[0]
-        pressed = keys.read() if keys.fd in ready else []
-        for key in pressed:
-            self._key(key)
-        return self._listen() or bool(pressed)
+        pressed = keys.fd in ready and self._read_keys(keys)
+        return self._listen() or pressed
+
+    def _read_keys(self, keys: terminal.Keyboard) -> bool:
+        """Handle the keys that wait; whether there were some."""
+        with self._reading:
+            pressed = keys.read()
+            for key in pressed:
+                self._key(key)
+        return bool(pressed)
+
+    def _read_keys_meanwhile(self) -> None:
+        """Handle keys while a trial is evaluated, which can take seconds: `v` (vent now) does not wait for it."""
+        while not self._over:
+            if self._evaluating.wait(PERIOD) and self._keys is not None:
+                with suppress(EOFError):  # the other thread sees it, too, and ends
+                    self._read_keys(self._keys)
+                time.sleep(0.02)
 
     def _key(self, key: str) -> None:
         if self._asked is not None:

@@ -47,6 +47,8 @@ USED = ("finished", "failed")
 """Only trials with these statuses have numbers."""
 REACHED = (0.02, 3e3)
 """Tolerance for reaching a pressure: fraction of the command, and at least this value [Pa]."""
+BEGIN = 0.2
+"""Time at the begin of a trial in which a pressure that was set before it is looked at [s]."""
 
 
 @dataclass(frozen=True)
@@ -193,10 +195,13 @@ def _flagged(trial: TrialData) -> list[str]:
 
 
 def _not_reached(trial: TrialData) -> list[str]:
-    """A sentence if the measured pressure did not reach its command before the next one."""
+    """A sentence if the measured pressure did not reach its command before the next one, or was off it at the begin."""
     if "pressure" not in trial.channels or not len(trial.t):
         return []
     commands = [c for c in trial.commands if c.output == "pressure"]
+    if not commands and (held := trial.point.get("pressure")):
+        first = (trial.t < trial.t[0] + BEGIN) & trial.usable
+        return _off(float(trial.channels["pressure"][first].mean()), held, "held") if first.any() else []
     ends = [*(c.t for c in commands[1:]), float(trial.t[-1])]
     for command, end in zip(commands, ends, strict=False):
         if command.kind != "set" or end - command.t < 0.5 or command.phase == "vent":
@@ -204,11 +209,16 @@ def _not_reached(trial: TrialData) -> list[str]:
         late = (trial.t > end - max(0.1, 0.05 * (end - command.t))) & (trial.t < end - 1e-9) & trial.usable
         if not late.any():
             continue
-        reached = float(trial.channels["pressure"][late].mean())
-        if abs(reached - command.value) > max(REACHED[0] * abs(command.value), REACHED[1]):
-            asked = show(command.value, "pressure", 4)
-            return [f"pressure not reached: {show(reached, 'pressure', 4)} of {asked} ({command.phase})"]
+        if said := _off(float(trial.channels["pressure"][late].mean()), command.value, command.phase):
+            return said
     return []
+
+
+def _off(measured: float, asked: float, phase: str) -> list[str]:
+    """A sentence if a measured pressure [Pa] is off the commanded one."""
+    if abs(measured - asked) <= max(REACHED[0] * abs(asked), REACHED[1]):
+        return []
+    return [f"pressure not reached: {show(measured, 'pressure', 4)} of {show(asked, 'pressure', 4)} ({phase})"]
 
 
 def prepare(name: str) -> None:
@@ -216,6 +226,8 @@ def prepare(name: str) -> None:
     kind = registry.find(name)
     if kind and kind.live:
         kind.part("live")
+        if kind.live.startswith("pmabench.kinds.reduce:"):  # it evaluates a trial by the reduction
+            kind.part("reduction")
 
 
 def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:

@@ -18,8 +18,8 @@ import numpy as np
 
 from pmabench.base.errors import DeviceError, LimitTripped, PmaError
 from pmabench.base.quantities import show
+from pmabench.bench.driver_options import HARDWARE, driver_version
 from pmabench.bench.interface import UNPROVEN, CompiledBench, DeviceRecord, Identity, ProofTest
-from pmabench.bench.registry import HARDWARE, driver_version
 from pmabench.engine.acquire import Acquisition, Array, Samples, Stop
 from pmabench.engine.recorder import Recorder
 from pmabench.guard.owner import PATIENCE

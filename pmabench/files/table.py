@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.base.errors import InvalidFile, Problem, did_you_mean, invalid, reading
+from pmabench.base.errors import InvalidFile, Problem, invalid, reading
 from pmabench.files.quantity import NUMBER, unit_factor
 
 Array = NDArray[np.float64]
@@ -60,18 +60,6 @@ class Table:
     def problem(self, cell: Cell, message: str) -> Problem:
         """A `Problem` at a cell."""
         return Problem(str(self.path), cell.line, cell.column, message)
-
-    def only(self, name: str, text: str) -> Table:
-        """Rows whose cell in column `name` is `text`; ValueError with the valid names."""
-        found = [column for column in self.columns if name in (column.name, column.head.text)]
-        if not found:
-            raise ValueError(f'{self.path} has no column "{name}"{did_you_mean(name, [c.name for c in self.columns])}')
-        rows = [row for row, cell in enumerate(found[0].cells) if cell.text == text]
-        if not rows:
-            values = dict.fromkeys(cell.text for cell in found[0].cells)
-            raise ValueError(f'{self.path}: no row has "{text}" in column "{name}"{did_you_mean(text, values)}')
-        columns = tuple(Column(c.head, c.name, c.unit, tuple(c.cells[row] for row in rows)) for c in self.columns)
-        return Table(self.path, self.source, columns)
 
 
 def read_table(path: Path) -> Table:

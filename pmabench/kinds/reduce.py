@@ -6,6 +6,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from math import hypot
 from typing import Any
 
 from pmabench.analysis.imported import in_time, without_doubtful
@@ -14,28 +15,23 @@ from pmabench.analysis.shared.followed import followed
 from pmabench.analysis.shared.samples import with_motion
 from pmabench.analysis.shared.signals import without_spikes
 from pmabench.analysis.shared.trials import grouped, session_of, six_digits
+from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.analysis.verdict.acceptance import not_accepted, not_accepted_as_form
 from pmabench.analysis.verdict.agreement import KIND as AGREEMENT
 from pmabench.analysis.verdict.agreement import Offer, agreement, offers_of, side_by_side, without_diameter
-from pmabench.analysis.verdict.checks import repeats_of, with_checks, with_record
-from pmabench.analysis.verdict.sessions import with_sessions
+from pmabench.analysis.verdict.checks import repeats_of, with_checks, with_record, with_sessions
 from pmabench.base.errors import UsageError, did_you_mean, invalid
-from pmabench.base.kind import Kind, Result, load
+from pmabench.base.kind import Kind, load
 from pmabench.base.quantities import show
 from pmabench.base.text import clean
 from pmabench.kinds import registry
 from pmabench.store.analyses.results import POINT_QUANTITIES, Analysis, Dropped, Estimate
-from pmabench.store.records import RunData
+from pmabench.store.records import RunData, TrialData
 
 MOST_REASONS = 3
 NUMBER = re.compile(r"[-+]?\d[\d.,]*(e[-+]?\d+)?")
 OF_FILE = re.compile(r"^[^:]*\.\w{1,5}: ")
 """The file that a reason of an import begins with."""
-
-
-def results_of(kind: str) -> tuple[Result, ...]:
-    """Results that the reduction of a kind of run declares; ValueError for an unknown kind."""
-    return registry.kind_of(kind).results
 
 
 def specimen_of(run: RunData) -> str:
@@ -158,9 +154,27 @@ def _changes(kind: Kind, run: RunData) -> list[Sequence[Change]]:
     found: list[Sequence[Change]] = [[change] for change in [followed(run)] if change]
     if kind.drifts == "force":
         found += of_forces(run)
-    if kind.drifts and not found and (repeats := repeats_of(kind, [run])):
+    seen = any(one.gain or one.offset for changes in found for one in changes)
+    if kind.drifts and not seen and (repeats := repeats_of(kind, [run])):
         found += of_values(run, kind.drifts, kind.repeated_is, (repeats.cell, repeats.t, repeats.value))
     return found
+
+
+def of_one_trial(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
+    """Key numbers of the reduction of one trial, for the display, and why a value is missing; of an angle or place the
+    middle one.
+    """
+    kind = registry.kind_of(run.kind)
+    analysis = kind.part("reduction")([replace(run, trials=(trial,))], None)
+    headlines = [result.symbol for result in kind.results if result.headline]
+    given = grouped((e for e in analysis.estimates if e.symbol in headlines), lambda e: e.symbol)
+    shown = [alike[len(alike) // 2] for alike in given.values()]
+    withheld = [e for e in analysis.estimates if e.withheld and e not in shown]
+    reasons = [one.reason for one in analysis.dropped]
+    reasons += [e.note for e in shown if e.value is None] + [f"{e.symbol}: {e.note}" for e in withheld]
+    halves = [[half for half in vars(e.parts).values() if half] for e in shown]
+    found = [Measured(e.symbol, e.quantity, e.value, noise=hypot(*half)) for e, half in zip(shown, halves, strict=True)]
+    return found, reasons
 
 
 def _given(analysis: Analysis) -> int:

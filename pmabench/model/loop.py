@@ -1,4 +1,4 @@
-"""Closed loops in theory: ultimate gain, margins, set-point steps of a gain with dead time and lags.
+"""Closed loops in theory: ultimate gain and margins of a gain with dead time and lags.
 
 The plant is G(s) = k_g exp(-L s) / prod(1 + T_i s), command [Pa] to displacement [m].
 """
@@ -10,13 +10,11 @@ from math import inf, pi
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm
 from scipy.optimize import brentq
 
 from pmabench.model.muscle import Muscle
 from pmabench.model.regulator import Regulator
 
-Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 
@@ -164,12 +162,6 @@ def _lags(regulator: Regulator) -> tuple[complex, ...]:
     return tuple(lag.real if lag.imag == 0 else lag for lag in pair)
 
 
-def dead_time_for(period: float, lags: tuple[complex, ...]) -> float:
-    """Dead time L [s] for which `lags` [s] give the ultimate period `period` [s]; negative where none does."""
-    omega = 2 * pi / period
-    return (pi - Loop(1.0, 0.0, lags).phase_lag(omega)) / omega
-
-
 @dataclass(frozen=True)
 class Controller:
     """A PID controller in ideal form: C(s) = K_p (1 + 1/(T_i s) + T_d s / (1 + T_d s / filter))."""
@@ -231,79 +223,3 @@ def margins(loop: Loop, controller: Controller) -> Margins:
     phase_margin = float(left.min()) if left.size else inf
     peak = float((1 / np.abs(returned)).max()) if stable else inf
     return Margins(gain_margin, phase_margin, peak, stable)
-
-
-@dataclass(frozen=True)
-class Answer:
-    """Response of the displacement to a set-point step, relative to its final value."""
-
-    overshoot: float
-    """Overshoot as a fraction of the final value [1]; infinite for an unstable loop."""
-    settling: float
-    """Time [s] after which it stays within `SETTLED` of the final value; infinite if longer than `MOST` T_u."""
-
-
-SETTLED = 0.02
-"""Band about the final value, as a fraction of it."""
-LEAST, MOST, STAYS = 16, 256, 8
-"""Least and most ultimate periods simulated, and number of these for which the response must stay in the band."""
-
-
-def set_point_step(loop: Loop, controller: Controller) -> Answer:
-    """Overshoot and settling time of the displacement after a set-point step.
-
-    Simulated with steps of T_u/400 for at least `LEAST` T_u, until it has settled. Controller and lags are one linear
-    system, solved exactly for an input, the error one dead time ago, that is linear between samples. The derivative
-    acts on the displacement alone, as in `pmabench.model.pid`, so the part from the set-point is subtracted. The final
-    value is the set-point, or without integral action K/(1 + K) of it, with K = K_p k_g.
-    """
-    if not margins(loop, controller).stable:
-        return Answer(inf, inf)
-    period = ultimate(loop).period
-    h = period / 400
-    waiting = max(1, round(loop.dead_time / h)) if loop.dead_time > 0 else 0
-    h = loop.dead_time / waiting if waiting else h
-    A, early, late, read, kick = _discrete(loop, controller, h)
-    gain = controller.K_p * loop.gain
-    final = 1.0 if controller.T_i < inf else gain / (1 + gain)
-    count, most, stays = (int(periods * period / h) for periods in (LEAST, MOST, STAYS))
-    state, derived, errors, left = np.zeros(len(A)), np.zeros(len(A)), [1.0] * (waiting + 1), waiting + 1
-    while len(errors) <= min(most, max(count, left + stays)):
-        before = errors[-1 - waiting]
-        derived = A @ derived + early
-        wanted = 1.0 + kick @ derived
-        state = A @ state + (early - late) * before
-        if waiting:
-            state += late * errors[-waiting]
-        else:  # the error at the end of the line depends on itself
-            state += late * (wanted - read @ state) / (1.0 + read @ late)
-        errors.append(float(wanted - read @ state))
-        if abs(1.0 - errors[-1] - final) > SETTLED * final:
-            left = len(errors)
-    return Answer(max(0.0, (1.0 - min(errors)) / final - 1.0), left * h if left + stays <= most else inf)
-
-
-def _discrete(loop: Loop, controller: Controller, h: float) -> tuple[Array, Array, Array, Array, Array]:
-    """State matrix of controller and lags over `h` [s], and its input vectors for begin and end of a linear input.
-
-    Then the output vectors of the displacement by the whole controller and by its derivative alone; for a step the
-    input is `early` each time.
-    """
-    integral, slow = controller.T_i / h, controller.T_d / controller.filter / h  # all times in samples
-    by_i = np.array([integral, 0.0]) if integral < inf else np.ones(1)
-    derivative = np.polymul(by_i, [controller.T_d / h, 0.0])
-    num = np.polyadd(derivative, np.polymul([slow, 1.0], np.polyadd(by_i, [float(integral < inf)])))
-    den = np.polymul(by_i, [slow, 1.0])
-    for lag in loop.lags:
-        den = np.polymul(den, [lag / h, 1.0])
-    den = np.trim_zeros(den.real, "f")
-    order = len(den) - 1
-    block = np.zeros((order + 2, order + 2))
-    block[0, :order] = -den[1:] / den[0]
-    block[0, order] = 1.0 / den[0]
-    block[np.arange(1, order), np.arange(order - 1)] = 1.0
-    block[order, order + 1] = 1.0
-    exact = expm(block)
-    scale = controller.K_p * loop.gain
-    read, kick = (scale * np.pad(np.trim_zeros(one, "f"), (order, 0))[-order:] for one in (num, derivative))
-    return exact[:order, :order], exact[:order, order], exact[:order, order + 1], read, kick

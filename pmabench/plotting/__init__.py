@@ -1,9 +1,10 @@
 """Components of figures: drawings from plain columns, their words, units and numbers; no kind of test, no page.
 
-- `pictures`: a drawing with title, caption, alternative text and its numbers (a `Frame` of text); `svg`: as an element
-  of a page
-- drawings: `plots`, `time_plots`; `chart`: as data, for static SVG and for a script
-- `web`: files for pages in a browser (uPlot, the font Inter), unchanged, with their licences
+- `chart`: axes and curves as data, for static SVG and for a script
+- `looks`: colours, shapes of marks; `svg`: symbols, paths and files of a drawing
+- `pictures`: charts with title, caption, alternative text and their numbers (a `Frame` of text)
+- `web`: files for pages (uPlot; Inter 3.19, cut to Latin, Greek and signs, for the PDF also Cyrillic and italics) with
+  their licences, and `unknown-sign.ttf`, a box for what no font has
 - figures that several kinds of test share: `motion`
 - words, display units, numbers and tables of text: `wording`
 """

@@ -1,4 +1,4 @@
-"""Figures of driven and free motion: overlays, loops, values over frequency, growth over gain; drawn by `plots`.
+"""Figures of driven and free motion: overlays, loops, values over frequency, growth over gain.
 
 Also of isometric tests: force over pressure at fixed contractions, with fitted lines.
 """
@@ -7,38 +7,39 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from math import pi
 
 import numpy as np
 
-from pmabench.plotting import plots, time_plots
-from pmabench.plotting.chart import COLUMN, GAP, PAGE, Chart, Series, with_common_sides
+from pmabench.plotting.chart import GAP, PAGE, Array, Chart, Level, Series, closed, small_multiples
+from pmabench.plotting.looks import BLUE, BROWN, FAINT, INK, MARKS, PALETTE, QUIET
 from pmabench.plotting.pictures import (
     Picture,
-    bound,
+    column,
+    crosses,
+    curve,
     has,
     head,
     how_many,
     label,
     numbers,
     of_charts,
-    panel,
-    picture,
     reach,
     spread,
     unit_of,
 )
-from pmabench.plotting.plots import BROWN, FAINT, QUIET, Array, Panel
 from pmabench.plotting.wording import clean, shown
 from pmabench.store.analyses.results import Analysis, Trace
 
 LOOPS, ROWS, MOST = 8, 4, 6
 """Most loops of a figure, rows of a figure of oscillations, and figures of loops."""
 NAMES = ("t", "pressure", "displacement", "model")
-UPPER, LOWER = 104.0, 66.0
-"""Heights of a panel, and of the difference below it [pt]."""
-SHORT = 20
-"""Letters of titles with which three panels fit side by side, and not two."""
+WIDER = 320.0
+"""Width of swings over time, left of their growth [pt]."""
+UPPER, LOWER = 112.0, 70.0
+"""Heights of a panel, and of what is below it [pt]."""
+OF_MODEL = (("displacement", "measured", FAINT, 3.0), ("model", "model", BROWN, 1.3))
 OVERLAYS = 6
 """Most panels of measured and modelled motion."""
 FREE_RUN = "the fitted muscle, run freely with the measured pressure"
@@ -56,43 +57,32 @@ def overlays(
     if not able:
         return []
     chosen = spread(able, most)
-    names = {"t": "t", "measured": "displacement", "model": "model"}
-    panels = [panel(t, names, head(t)) for t in chosen]
-    unit = unit_of(chosen[0], "displacement").unit
-    misfits = [_rms(p.columns["measured"] - p.columns["model"]) for p in panels]
+    unit, titles = unit_of(chosen[0], "displacement").unit, [head(t) for t in chosen]
+    misfits = [_rms(column(t, "displacement") - column(t, "model")) for t in chosen]
     worst = int(np.argmax(misfits))
-    title += f", {panels[0].title}" if len(chosen) == 1 else ""
-    caption = f"Grey: measured; brown: {model}. Below: their difference, rms {reach(misfits)} {unit}.{also}"
+    title += f", {titles[0]}" if len(chosen) == 1 else ""
+    caption = f"Measured, and {model}. Below: their difference, rms {reach(misfits)} {unit}.{also}"
     caption += how_many(chosen, able)
-    if any(not np.isfinite(p.columns["model"]).all() for p in panels):
+    if any(not np.isfinite(column(t, "model")).all() for t in chosen):
         caption += " The model ends where the muscle moves at a pressure at which a coefficient is open."
     alt = (
-        f"Contraction over time, measured, and {model}, in {len(panels)} panel{'s' if len(panels) > 1 else ''}: "
-        f"{'; '.join(p.title for p in panels)}. Root mean square difference {reach(misfits)} {unit}"
-        + (f", largest at {panels[worst].title}." if len(panels) > 1 else ".")
+        f"Contraction over time, measured, and {model}, in {len(chosen)} panel{'s' if len(chosen) > 1 else ''}: "
+        f"{'; '.join(titles)}. Root mean square difference {reach(misfits)} {unit}"
+        + (f", largest at {titles[worst]}." if len(chosen) > 1 else ".")
     )
-    table = numbers([(head(t), t) for t in chosen], columns)
-    rows = _overlaid(panels, label(chosen[0], "t"), unit, simulated=analysis.simulated)
-    return [of_charts(rows, title, caption, alt, table, simulated=analysis.simulated, still=True)]
+    table = numbers(list(zip(titles, chosen, strict=True)), columns)
+    rows = small_multiples([_overlaid(t) for t in chosen], 3, common="")
+    return [of_charts(rows, title, caption, alt, table, simulated=analysis.simulated)]
 
 
-def _overlaid(panels: Sequence[Panel], t_label: str, unit: str, *, simulated: bool) -> list[list[Chart]]:
-    """Measured and model over time with their difference below, in small multiples; columns t, measured, model."""
-    columns = 1 if len(panels) == 1 else 3 if max(len(one.title) for one in panels) < SHORT else 2
-    width = COLUMN if columns == 1 else (PAGE - GAP * (columns - 1)) / columns
-    pairs = []
-    for n, one in enumerate(panels, 1):
-        t, y, model = (one.columns[name] for name in ("t", "measured", "model"))
-        lines = (Series("", t, y, FAINT, width=3.0), Series("", t, model, BROWN))
-        apart = (Series("", t, y - model, QUIET, width=0.9),)
-        name = "contraction" if columns == 1 else f"{one.title}: x"
-        stamp = "SIMULATED" if simulated and n == min(columns, len(panels)) else ""
-        upper = Chart(t_label, f"{name} [{unit}]", lines, width, UPPER, "", stamp=stamp, x_named=False)
-        pairs.append(
-            with_common_sides((upper, Chart(t_label, f"difference [{unit}]", apart, width, LOWER, "", y_ticks=3)))
-        )
-    rows = [pairs[i : i + columns] for i in range(0, len(pairs), columns)]
-    return [[pair[n] for pair in row] for row in rows for n in (0, 1)]
+def _overlaid(trace: Trace) -> tuple[Chart, Chart]:
+    """Measured and model over time with their difference below."""
+    t, unit = label(trace, "t"), unit_of(trace, "displacement").unit
+    y, model = (curve(trace, "t", name, word, color, width=width) for name, word, color, width in OF_MODEL)
+    away = column(trace, "displacement") - column(trace, "model")
+    apart = (Series("", column(trace, "t"), away, QUIET, width=0.9),)
+    upper = Chart(t, f"contraction [{unit}]", (y, model), height=UPPER, title=head(trace), legend=True)
+    return upper, Chart(t, f"difference [{unit}]", apart, height=LOWER, y_ticks=3)
 
 
 def _rms(values: Array) -> float:
@@ -115,24 +105,29 @@ def loops(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     for members in list(groups.values())[:MOST]:
         chosen = spread(sorted(members, key=lambda t: t.marks.get("frequency", 0.0)), LOOPS)
         first, second = _axes(chosen[0])
-        names = {"x": first, "measured": second} | ({"model": "model"} if all(has(t, "model") for t in chosen) else {})
-        panels = [panel(t, names, _frequency(t)) for t in chosen]
-        labels = {"x": label(chosen[0], first), "y": label(chosen[0], second)}
+        modelled = all(has(t, "model") for t in chosen)
+        titles = [_frequency(t) for t in chosen]
+        labels = label(chosen[0], first), label(chosen[0], second)
         where = clean(chosen[0].title.partition(", ")[2], 60)
         title = _title(first, second, where)
         each = " at each frequency" if any("frequency" in t.marks for t in chosen) else ""
         lacking = ". No model is drawn: stiffness, damping and friction are not all known here."
-        model = "; brown: the fitted muscle along the same motion." if "model" in names else lacking
-        caption = f"Grey: the last measured cycle{each}{model}"
+        model = ", and as model the fitted muscle along the same motion." if modelled else lacking
+        caption = f"The last measured cycle{each}{model}"
         if width := [t.marks["width"] for t in chosen if "width" in t.marks]:
             unit = shown("force")
             caption += f" Width at mid stroke {reach([w / unit.scale for w in width])} {unit.unit}."
-        alt = f"{labels['y']} over {labels['x']} as closed loops at {', '.join([p.title for p in panels])}"
+        alt = f"{labels[1]} over {labels[0]} as closed loops at {', '.join(titles)}"
         alt += f", {where}." if where else "."
         alt += " Loops grow wider as the frequency rises where damping acts." if len(chosen) > 1 else ""
-        table = numbers([(_frequency(t), t) for t in chosen])
-        draw = bound(plots.loops, panels, labels)
-        found.append(picture(draw, title, caption, alt, table, wide=len(chosen) > 1, simulated=analysis.simulated))
+        table, charts = numbers(list(zip(titles, chosen, strict=True))), []
+        said = len(titles) == 1 and "frequency" not in chosen[0].marks  # in the title of the figure
+        for trace, head_of, theirs in zip(chosen, titles, crosses(chosen, first, second), strict=True):
+            lines = [closed(curve(trace, first, second, "measured", FAINT, width=3.0))]
+            lines += [closed(curve(trace, first, "model", "model", BROWN))] if modelled else []
+            charts.append(Chart(*labels, (*lines, *theirs), title="" if said else head_of, legend=True))
+        rows = small_multiples(charts, 4)
+        found.append(of_charts(rows, title, caption, alt, table, simulated=analysis.simulated))
     return found
 
 
@@ -144,55 +139,57 @@ def _frequency(trace: Trace) -> str:
     return f"{trace.marks['frequency']:.4g} Hz" if "frequency" in trace.marks else head(trace)
 
 
+NARROW = 0.06
+"""Least range of an axis over frequency, as a share of the middle value."""
+
+
 def bode(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     """Stiffness, loss per speed and phase over frequency, for all operating points."""
     able = [t for t in traces if has(t, "frequency", "stiffness", "loss", "speed", "phase")]
     able = [t for t in able if np.all(t.columns["frequency"] > 0) and np.all(t.columns["speed"] > 0)][:6]
     if not able:
         return []
-    panels = []
-    for trace in able:
-        title = clean(trace.title.partition(", ")[2] or trace.title, 40)
-        base = panel(trace, {"frequency": "frequency", "K": "stiffness", "phase": "phase"}, title)
-        damping = shown("damping")
-        speed, f = np.asarray(trace.columns["speed"]), np.asarray(trace.columns["frequency"])
-        columns = dict(base.columns) | {"B": np.asarray(trace.columns["loss"]) / speed / damping.scale}
+    titles = [clean(t.title.partition(", ")[2] or t.title, 40) for t in able]
+    series: dict[str, list[Series]] = {"K": [], "B": [], "phase": []}
+    damping, stiffness = shown("damping"), shown("stiffness")
+    for n, (trace, title) in enumerate(zip(able, titles, strict=True)):
+        color = PALETTE[n % len(PALETTE)]
+        f, speed = (np.asarray(trace.columns[name]) for name in ("frequency", "speed"))
         if all(name in trace.marks for name in ("K", "B", "F_c")) and len(f) > 1:
             fine = np.geomspace(f.min(), f.max(), 60)
             fast = np.interp(fine, f, speed / f) * fine
             loss = trace.marks["B"] * fast + 4 * trace.marks["F_c"] / pi
-            amplitude = fast / (2 * pi * fine)
-            columns |= {
-                "frequency fit": fine,
-                "K fit": np.full(60, trace.marks["K"] / shown("stiffness").scale),
-                "B fit": loss / fast / damping.scale,
-                "phase fit": np.degrees(np.arctan2(loss, trace.marks["K"] * amplitude)),
-            }
-        panels.append(Panel(title, columns, dict(trace.marks)))
-    labels = {"frequency": "frequency [Hz]", "phase": "phase [deg]"}
-    labels |= {"K": shown("stiffness").label("K"), "B": shown("damping").label("loss per speed")}
+            phase = np.degrees(np.arctan2(loss, trace.marks["K"] * fast / (2 * pi * fine)))
+            K = np.full(60, trace.marks["K"] / stiffness.scale)
+            for name, y in (("K", K), ("B", loss / fast / damping.scale), ("phase", phase)):
+                series[name].append(Series("", fine, y, color, width=0.9, said=title))
+        B = np.asarray(trace.columns["loss"]) / speed / damping.scale
+        for name, y in (("K", column(trace, "stiffness")), ("B", B), ("phase", column(trace, "phase"))):
+            series[name].append(Series(title, f, y, color, MARKS[n % len(MARKS)]))
+    fitted = any(not one.mark for one in series["B"])
     caption = (
         "Left: stiffness K = −Re(F/x). Middle: loss per speed, −Im(F/x)/ω, which tends to B where viscous damping "
         "rules and rises at low frequency where Coulomb friction does. Right: phase of force before displacement. "
-    ) + ("Lines: the fitted K, B and F_c." if any("B fit" in p.columns for p in panels) else "No line is known.")
-    alt = f"Stiffness, loss per speed and phase over frequency for {'; '.join(p.title for p in panels)}."
+    ) + ("Lines: the fitted K, B and F_c." if fitted else "No line is known.")
+    alt = f"Stiffness, loss per speed and phase over frequency for {'; '.join(titles)}."
     names = ("frequency", "stiffness", "loss", "speed", "phase", "width")
-    table = numbers([(p.title, t) for p, t in zip(panels, able, strict=True)], names)
+    table = numbers(list(zip(titles, able, strict=True)), names)
     title = "Stiffness, damping and phase over frequency"
-    draw = bound(plots.against_frequency, panels, labels, ("K", "B", "phase"))
-    return [picture(draw, title, caption, alt, table, wide=True, simulated=analysis.simulated)]
+    labels = stiffness.label("K"), damping.label("loss per speed"), "phase [deg]"
+    charts = [_over_frequency(y_label, mine) for y_label, mine in zip(labels, series.values(), strict=True)]
+    rows = small_multiples(charts, 3, common="", width=PAGE)
+    return [of_charts(rows, title, caption, alt, table, simulated=analysis.simulated)]
 
 
-def _growth_panel(trace: Trace) -> Panel | None:
-    if not has(trace, "gain", "log_ratio", "used"):
-        return None
-    names = {"gain": "gain", "log_ratio": "log_ratio", "used": "used"} | ({"fit": "fit"} if has(trace, "fit") else {})
-    base = panel(trace, names, "")
-    unit = unit_of(trace, "gain")
-    if "K_u" not in base.marks:
-        return base
-    K_u = base.marks["K_u"] / unit.scale
-    return Panel(f"K_u = {K_u:.4g}", base.columns, {"K_u": K_u})
+def _over_frequency(y_label: str, series: Sequence[Series]) -> Chart:
+    """Marks and lines over frequency on a logarithmic axis with a tick at each frequency."""
+    values = np.concatenate([one.y[np.isfinite(one.y)] for one in series])
+    middle = float(values.max() + values.min()) / 2
+    half = NARROW / 2 * abs(middle)
+    flat = float(np.ptp(values)) < 2 * half
+    ends = None, None, middle - half if flat else None, middle + half if flat else None
+    at = tuple(sorted({float(f) for one in series if one.mark for f in one.x}))
+    return Chart("frequency [Hz]", y_label, tuple(series), legend=True, x_ticks=at, log=True, ends=ends)
 
 
 _GROWTH = (
@@ -217,34 +214,58 @@ def oscillations(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     for trace in traces:
         place = 0 if trace.figure == "oscillation" else 1
         pairs.setdefault(trace.name.partition("-")[2], [None, None])[place] = trace
-    rows, named = [], []
-    labels = {"t": "time [s]", "measured": "contraction [mm]", "gain": "gain"}
-    labels["log_ratio"] = "ln(growth) per half period"
+    rows: list[list[Chart | None]] = []
+    named: list[tuple[str, Trace]] = []
+    gains = []
     for swing, growth in list(pairs.values())[:ROWS]:
         left = right = None
         if swing is not None and has(swing, "t", "displacement"):
-            scale = unit_of(swing, "displacement").scale
-            base = panel(swing, {"t": "t", "measured": "displacement"}, f"Swings near K_u, {_setpoint(swing)}")
-            marks = {k: v / scale for k, v in swing.marks.items() if k == "setpoint"}
-            left = Panel(base.title, base.columns, marks)
-            labels |= {"t": label(swing, "t"), "measured": label(swing, "displacement")}
+            left = _swings(swing)
             named.append((f"swings, {_setpoint(swing)}", swing))
         if growth is not None:
-            right = _growth_panel(growth)
-            labels["gain"] = label(growth, "gain")
             named.append((f"growth, {_setpoint(growth)}", growth))
-        rows.append((left, right))
-    if not any(left or right for left, right in rows):
+            if has(growth, "gain", "log_ratio", "used"):
+                right = _growth(growth)
+                gains += [level.name for level in right.levels if level.name]
+        rows.append([left, right])
+    if not any(map(any, rows)):
         return []
     caption = "Left: contraction at the gain levels around K_u; dashed, the set-point. Right: growth. " + _GROWTH
     if len(pairs) > ROWS:
         caption += f" {ROWS} of {len(pairs)} operating points are shown."
-    gains = [right.title for _, right in rows if right is not None and right.title]
     alt = f"Oscillation over time, and growth per half period over gain, for {len(rows)} set-points."
     alt += f" {'; '.join(gains)}."
-    draw = bound(time_plots.oscillations, rows, labels)
     title = "Sustained oscillation and ultimate gain" + (f", {_setpoint(named[0][1])}" if len(rows) == 1 else "")
-    return [picture(draw, title, caption, alt, numbers(named), wide=True, simulated=analysis.simulated)]
+    columns = []
+    for place, width in enumerate((WIDER, PAGE - GAP - WIDER)):
+        known = [one for row in rows if (one := row[place])]
+        columns.append(iter(small_multiples(known, 1, common="", width=width) if known else []))
+    found = [[next(of)[0] for one, of in zip(row, columns, strict=True) if one] for row in rows if any(row)]
+    return [of_charts(found, title, caption, alt, numbers(named), simulated=analysis.simulated)]
+
+
+def _swings(swing: Trace) -> Chart:
+    """Oscillation over time at the gains around the ultimate one."""
+    line, scale = curve(swing, "t", "displacement", "", BLUE, width=0.9), unit_of(swing, "displacement").scale
+    levels = tuple(Level(value / scale) for name, value in swing.marks.items() if name == "setpoint")
+    labels, title = (label(swing, "t"), label(swing, "displacement")), f"Swings near K_u, {_setpoint(swing)}"
+    return Chart(*labels, (line,), title=title, levels=levels)
+
+
+def _growth(growth: Trace) -> Chart:
+    """Logarithm of the ratio of successive swings over gain; line through the filled points, its zero is K_u."""
+    gain, ratio = column(growth, "gain"), column(growth, "log_ratio")
+    used = column(growth, "used") > 0.5
+    series = [Series("", gain[at], ratio[at], BLUE, "o", hollow=open) for at, open in ((~used, True), (used, False))]
+    if has(growth, "fit") and used.any():
+        near = gain >= np.min(gain[used])
+        series.append(Series("", gain[near], column(growth, "fit")[near], BROWN))
+    levels = [Level(0.0, dashed=False)]
+    if "K_u" in growth.marks:
+        K_u = growth.marks["K_u"] / unit_of(growth, "gain").scale
+        levels.append(Level(K_u, f"K_u = {K_u:.4g}", BROWN, upright=True))
+    labels = label(growth, "gain"), "ln(growth) per half period"
+    return Chart(*labels, tuple(series), title="Growth", levels=tuple(levels))
 
 
 PANELS = 9
@@ -258,20 +279,52 @@ def isometric(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
         return []
     chosen = spread(able, PANELS)
     by_branch = all(has(t, "branch") for t in able)
-    optional = {"fit": "fit", "group": "branch" if by_branch else "test"}
-    panels = []
-    for trace in chosen:
-        names = {"x": "pressure", "measured": "force"} | {k: v for k, v in optional.items() if has(trace, v)}
-        x = trace.marks.get("contraction")
-        title = f"x = {x / shown('length').scale:.3g} {shown('length').unit}" if x is not None else head(trace)
-        panels.append(panel(trace, names, title))
-    labels = {"x": label(chosen[0], "pressure"), "y": label(chosen[0], "force")}
+    length = shown("length")
+    at = [t.marks.get("contraction") for t in chosen]
+    titles = [
+        head(t) if x is None else f"x = {x / length.scale:.3g} {length.unit}" for t, x in zip(chosen, at, strict=True)
+    ]
     caption = (
-        f"Samples of every test ({'blue: filling, red: emptying' if by_branch else 'colours'}) at set contractions, "
+        f"Samples of every test{' (blue: filling, brown: emptying)' if by_branch else ''} at set contractions, "
         f"and the least-squares line through them where it was fitted.{how_many(chosen, able)}"
     )
-    alt = f"Force over pressure at fixed contraction, with a straight line, for {'; '.join(p.title for p in panels)}."
-    table = numbers([(p.title, t) for p, t in zip(panels, chosen, strict=True)], ("pressure", "force", "fit", "test"))
-    draw = bound(plots.scatter_and_line, panels, labels)
-    title = "Isometric force over pressure" + (f", {panels[0].title}" if len(chosen) == 1 else "")
-    return [picture(draw, title, caption, alt, table, wide=len(chosen) > 1, simulated=analysis.simulated)]
+    alt = f"Force over pressure at fixed contraction, with a straight line, for {'; '.join(titles)}."
+    table = numbers(list(zip(titles, chosen, strict=True)), ("pressure", "force", "fit", "test"))
+    theirs = crosses(chosen, "pressure", "force")
+    group = "branch" if by_branch else "test"
+    rows = small_multiples([_scattered(*one, group) for one in zip(chosen, titles, theirs, strict=True)], 3)
+    title = "Isometric force over pressure" + (f", {titles[0]}" if len(chosen) == 1 else "")
+    return [of_charts(rows, title, caption, alt, table, simulated=analysis.simulated)]
+
+
+def _scattered(trace: Trace, title: str, theirs: Sequence[Series], group: str) -> Chart:
+    """Samples of force over pressure, coloured by a column, with the fitted line as far as there are such forces."""
+    x, y = column(trace, "pressure"), column(trace, "force")
+    member = column(trace, group) if has(trace, group) else np.zeros(len(x))
+    series = [
+        Series("", x[member == one], y[member == one], PALETTE[n % len(PALETTE)], ".")
+        for n, one in enumerate(np.unique(member))
+    ]
+    fit = column(trace, "fit") if has(trace, "fit") else np.full(len(x), np.nan)
+    known = np.flatnonzero(np.isfinite(x) & (fit >= np.nanmin(y)) & (fit <= np.nanmax(y)))
+    if len(known):
+        ends = known[[np.argmin(x[known]), np.argmax(x[known])]]
+        series.append(Series("fit", x[ends], fit[ends], INK))
+    return Chart(label(trace, "pressure"), label(trace, "force"), (*series, *theirs), title=title, legend=True)
+
+
+HEIGHTS = 64.0, 104.0, 84.0
+"""Of the lines of `courses` [pt]."""
+
+
+def courses(
+    stacks: Sequence[tuple[str, Sequence[Series], Sequence[Level]]], labels: Sequence[str]
+) -> list[list[Chart]]:
+    """Rows of (title, lines over time below each other, levels of the second): `labels` of time and of the lines."""
+    made = []
+    for title, lines, levels in stacks:
+        parts = zip(lines, labels[1:], HEIGHTS, strict=False)
+        charts = [Chart(labels[0], name, (line,), height=high, y_ticks=3) for line, name, high in parts]
+        charts[0], charts[1] = replace(charts[0], title=title), replace(charts[1], levels=tuple(levels), y_ticks=4)
+        made.append(charts)
+    return small_multiples(made, 4, common="y")

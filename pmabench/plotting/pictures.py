@@ -5,23 +5,18 @@ Helpers that figures share: display units of traces, thinning, data tables. For 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
-from typing import TYPE_CHECKING, TypeVar
+from functools import cached_property
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.plotting import plots
-from pmabench.plotting.chart import COLUMN, Chart, joined
-from pmabench.plotting.plots import Array, Panel
-from pmabench.plotting.svg import drawing, to_svg
+from pmabench.plotting.chart import COLUMN, Array, Chart, Series, joined, stamped
+from pmabench.plotting.looks import CROSSES, INK
 from pmabench.plotting.wording import COLUMNS, Frame, Shown, clean, shown
 from pmabench.store.analyses.results import Analysis, Estimate, Trace
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 Item = TypeVar("Item")
 TABLE_ROWS = 24
@@ -30,8 +25,6 @@ LARGEST = 1e30
 """Numbers from this size cannot be measurements and would break a drawing."""
 NOTHING = 1e-9
 """Fraction of a column's largest number below which another one is written as 0."""
-DRAWN = 700
-"""Most points of a drawn line."""
 
 
 @dataclass(frozen=True)
@@ -41,52 +34,45 @@ class Picture:
     title: str
     caption: str
     alt: str
-    draw: Callable[[], str]
-    """Returns the SVG."""
     table: Frame
-    wide: bool
     simulated: bool
-    charts: tuple[Chart, ...] = ()
-    """The charts it consists of, if any: the page draws them again, with zoom."""
-    stacked: bool = False
-    """Whether its charts are one below the other, not side by side."""
+    rows: tuple[tuple[Chart, ...], ...]
+    """The charts it consists of: the page of a report draws them again, with zoom."""
+
+    @property
+    def wide(self) -> bool:
+        """Whether it is as wide as a page."""
+        return sum(chart.width for chart in self.rows[0]) > COLUMN
+
+    @property
+    def charts(self) -> list[Chart]:
+        """All charts, row by row."""
+        return [chart for row in self.rows for chart in row]
+
+    @property
+    def height(self) -> float:
+        """Its height where it is as wide as it is drawn [pt]."""
+        return sum(max(chart.height for chart in row) for row in self.rows)
+
+    @property
+    def layout(self) -> str:
+        """How its charts may be arranged where there is little room: only those with all their labels one by one."""
+        if len(self.rows[0]) == 1:
+            return "column"
+        return "across" if len(self.rows) == 1 and all(chart.y_named for chart in self.charts) else "grid"
 
     @cached_property
     def svg(self) -> str:
         """The drawing, as an SVG element."""
-        return self.draw()
+        return joined(self.rows, self.alt)
 
 
 def of_charts(
-    rows: Sequence[Sequence[Chart]],
-    title: str,
-    caption: str,
-    alt: str,
-    table: Frame,
-    *,
-    simulated: bool,
-    still: bool = False,
+    rows: Sequence[Sequence[Chart]], title: str, caption: str, alt: str, table: Frame, *, simulated: bool
 ) -> Picture:
-    """A picture of charts in rows; a page may draw a single row or column again, but not a `still` one."""
-    wide = sum(chart.width for chart in rows[0]) > COLUMN
-    charts = () if still else tuple(chart for row in rows for chart in row)
-    return Picture(title, caption, alt, partial(joined, rows, alt), table, wide, simulated, charts, len(rows) > 1)
-
-
-def picture(
-    draw: Callable[[], Figure], title: str, caption: str, alt: str, table: Frame, *, wide: bool, simulated: bool
-) -> Picture:
-    """A figure drawn in the style of reports, with a stamp if simulated."""
-
-    def svg() -> str:
-        with drawing():
-            figure = draw()
-            plots.fit_labels(figure)
-            if simulated:
-                plots.stamp(figure, "SIMULATED")
-            return to_svg(figure, f"{'Simulated. ' if simulated else ''}{alt}")
-
-    return Picture(title, caption, alt, svg, table, wide, simulated)
+    """A picture of charts in rows, with a stamp in its corner if simulated."""
+    drawn = tuple(tuple(row) for row in (stamped(rows) if simulated else rows))
+    return Picture(title, caption, alt, table, simulated, drawn)
 
 
 def drawable(analysis: Analysis) -> Analysis:
@@ -143,18 +129,25 @@ def label(trace: Trace, name: str) -> str:
     return unit_of(trace, name).label(COLUMNS.get(name) or clean(name, 40))
 
 
-def panel(trace: Trace, names: Mapping[str, str], title: str) -> Panel:
-    """A panel with renamed columns: `names` from the drawing's name to the trace's; evenly thinned."""
-    columns = {new: column(trace, old) for new, old in names.items()}
-    stride = max(1, -(-len(next(iter(columns.values()))) // DRAWN))
-    first, *others = names.values()
-    published = tuple(
-        (clean(b.label, 60), b.columns[first] / unit_of(trace, first).scale, b.columns[y] / unit_of(trace, y).scale)
-        for b in trace.published
-        for y in others
-        if first in b.columns and y in b.columns
-    )
-    return Panel(title, {new: values[::stride] for new, values in columns.items()}, dict(trace.marks), published)
+def curve(trace: Trace, x: str, y: str, name: str, color: str, mark: str = "", **looks: Any) -> Series:
+    """Column y over column x in display units, as a line or as marks, from the first to the last row that has both."""
+    across, up = column(trace, x), column(trace, y)
+    known = np.flatnonzero(np.isfinite(across + up))
+    rows = slice(known[0], known[-1] + 1) if len(known) else slice(0)
+    return Series(name, across[rows], up[rows], color, mark, **looks)
+
+
+def crosses(traces: Sequence[Trace], x: str, y: str) -> list[list[Series]]:
+    """Published points of y over x of each trace, each table with a cross of its own."""
+    found = [[(clean(b.label, 60), b.columns) for b in t.published if {x, y} <= set(b.columns)] for t in traces]
+    names = list(dict.fromkeys(name for theirs in found for name, _ in theirs))
+    return [
+        [
+            Series(name, of[x] / unit_of(t, x).scale, of[y] / unit_of(t, y).scale, INK, CROSSES[names.index(name) % 3])
+            for name, of in theirs
+        ]
+        for t, theirs in zip(traces, found, strict=True)
+    ]
 
 
 def numbers(traces: Sequence[tuple[str, Trace]], wanted: Sequence[str] = ()) -> Frame:
@@ -200,11 +193,6 @@ def head(trace: Trace) -> str:
 def how_many(chosen: Sequence[object], able: Sequence[object]) -> str:
     """A sentence if not all are shown; else empty."""
     return f" {len(chosen)} of {len(able)} are shown." if len(chosen) < len(able) else ""
-
-
-def bound(draw: Callable[..., Figure], *arguments: object) -> Callable[[], Figure]:
-    """`draw` with its arguments bound, to be called in the style of reports."""
-    return lambda: draw(*arguments)
 
 
 def reach(values: Sequence[float]) -> str:

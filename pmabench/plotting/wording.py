@@ -11,6 +11,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
+from functools import lru_cache
 from itertools import compress
 from math import floor, isfinite, log10
 from typing import Any
@@ -105,6 +106,7 @@ class Shown:
         return rounded(self.of(value), self.of(half), digits)
 
 
+@lru_cache
 def shown(quantity: str, unit: str = "") -> Shown:
     """Display unit of a quantity of `QUANTITIES`; for others the SI unit with kPa and mm."""
     if quantity in QUANTITIES:

@@ -1,4 +1,8 @@
-"""Common parts of all kinds of protocol: head of the file, loads, preparation, checks against the mounted bench."""
+"""Common parts of all kinds of protocol: head of the file, loads, preparation, checks against the mounted bench.
+
+The `accept` section has limits that results must meet; `process` applies them, and ends with exit code 6 where one is
+not met.
+"""
 
 from __future__ import annotations
 
@@ -7,19 +11,121 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import inf
-from typing import Annotated, Any, ClassVar, Literal
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal, get_args
 
-from pydantic import BeforeValidator, Field, WithJsonSchema
+from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema
 
 from pmabench.base.errors import Problem
 from pmabench.base.quantities import OF_A_MUSCLE, show
 from pmabench.bench.compile import Mounted
 from pmabench.bench.session import Stack
 from pmabench.files.document import Document, Location, Strict, among, schema_of
-from pmabench.files.quantity import Frequency, Pressure, Time
-from pmabench.protocol import accept
-from pmabench.protocol.accept import Acceptance
+from pmabench.files.quantity import Frequency, Pressure, Ratio, Time
 from pmabench.protocol.plan import Ask, Hold, Plan, Set, Step, TrialRecord
+
+Coefficient = Literal["F_ce", "K", "B_c", "B_r", "B", "F_c", "K_u", "T_u"]
+CheckName = Literal["repeat_spread", "first_repeat", "drift", "free_run", "held_out", "other_direction"]
+COEFFICIENTS, CHECKS = get_args(Coefficient), get_args(CheckName)
+OF_TRIALS = ("repeat_spread", "first_repeat", "drift")
+"""Checks for kinds of test with one value per trial."""
+OF_FIT = ("free_run", "held_out", "other_direction")
+"""Checks of the fit to contraction and relaxation."""
+IN_EXPECTED = ("F_ce", "K", "B_c", "B_r", "F_c")
+"""Coefficients whose expected values a specimen file can give."""
+
+
+def _above_zero(expected: str) -> AfterValidator:
+    """Validator: a share must be above 0; `expected` ends the message."""
+
+    def check(limit: float) -> float:
+        if not limit > 0:
+            raise ValueError(f"{show(limit, 'ratio')}: {expected}")
+        return limit
+
+    return AfterValidator(check)
+
+
+Limit = Annotated[Ratio, _above_zero('a limit is above 0 %, for instance "5 %"')]
+
+
+class Accept(Strict):
+    """Limits of one coefficient, or of one check."""
+
+    relative_interval: Annotated[Ratio, _above_zero('an interval must be > 0 %, for instance "5 %"')] | None = None
+    """Largest half width of a coefficient's 95 % interval, as a share of its value."""
+    of_specimen: Limit | None = None
+    """Largest deviation of a coefficient from the specimen file's expected value, as a share of that."""
+    at_most: Limit | None = None
+    """Largest size of a check."""
+
+
+Acceptance = dict[Coefficient | CheckName, Accept]
+
+
+def measures_of(name: str) -> tuple[str, ...]:
+    """Limits that an entry of the section can have."""
+    return ("relative_interval", "of_specimen") if name in COEFFICIENTS else ("at_most",)
+
+
+def check_acceptance(c: Compilation, accept: Acceptance, gives: tuple[str, ...], checks: tuple[str, ...]) -> None:
+    """Note limits that cannot be applied: results that the kind of test does not give, and unsuitable limits."""
+    kind = c.document.data.get("kind")
+    for name, limits in accept.items():
+        able = gives if name in COEFFICIENTS else checks
+        if name not in able:
+            nothing = f"gives nothing of the kind; it gives {', '.join(gives) or ', '.join(checks)}"
+            wrong = f"does not give {name}; it gives {', '.join(able)}" if able else nothing
+            c.fault(("accept", name), f'"{kind}" {wrong}', key=True)
+            continue
+        fitting = measures_of(name)
+        expected = f"expected {' or '.join(fitting)}"
+        measures = [measure for measure in Accept.model_fields if getattr(limits, measure) is not None]
+        if not measures:
+            c.fault(("accept", name), f"says no limit; {expected}", key=True)
+        for measure in measures:
+            if measure not in fitting:
+                c.fault(("accept", name, measure), f"{name} has no {measure}; {expected}", key=True)
+        if "of_specimen" in measures and name in COEFFICIENTS:
+            _needs_expected(c, name)
+
+
+def _needs_expected(c: Compilation, name: str) -> None:
+    place: Location = ("accept", name, "of_specimen")
+    if name not in IN_EXPECTED:
+        c.fault(place, f"a specimen file does not give {name}; it can give {', '.join(IN_EXPECTED)}")
+    elif c.mounted.specimen_file.expected is None:
+        c.fault(place, 'the specimen file has no "expected" section to compare with')
+
+
+def acceptance_for_plan(c: Compilation, accept: Acceptance) -> dict[str, Any]:
+    """The section for the plan: largest relative interval by coefficient, and all `limits`; empty without a section."""
+    if not accept:
+        return {}
+    widest = {str(name): limits.relative_interval for name, limits in accept.items()}
+    widest = {name: interval for name, interval in widest.items() if interval is not None}
+    return {**widest, "limits": list(_limits(c, accept))}
+
+
+def _limits(c: Compilation, accept: Acceptance) -> Iterator[dict[str, Any]]:
+    """Every limit: `what`, `measure`, `limit`, its `place` in the protocol, for `of_specimen` also `expected`.
+
+    `expected` is a list of (pressure [Pa], value [SI]), or a single value without a pressure.
+    """
+    for name, limits in accept.items():
+        for measure in Accept.model_fields:
+            limit = getattr(limits, measure)
+            if limit is None:
+                continue
+            where = c.document.problem(("accept", name, measure), "", key=True)
+            place = f"{Path(where.path).name}:{where.line}" if where.line else Path(where.path).name
+            entry = {"what": name, "measure": measure, "limit": limit, "place": place}
+            expected = c.mounted.specimen_file.expected
+            if measure == "of_specimen" and expected is not None and name in IN_EXPECTED:
+                points = [(point.pressure, getattr(point, name)) for point in expected.points if name != "F_c"]
+                entry["expected"] = sorted(points) or expected.F_c
+            yield entry
+
 
 OF_A_PLATFORM = ("acceleration_x", "acceleration_y", "acceleration_z", "turn_x", "turn_y")
 RECORDED = (*OF_A_MUSCLE, "angle", "angle_command", "torque", "flow", *OF_A_PLATFORM)
@@ -259,7 +365,7 @@ class Compilation:
 
     def needs_coefficients(self) -> None:
         """Check that the kind of test gives the coefficients that have acceptance limits."""
-        accept.find_faults(self, self.head.accept, self.head.gives, self.head.checks)
+        check_acceptance(self, self.head.accept, self.head.gives, self.head.checks)
 
     def plan(self, kind: str, settings: dict[str, Any]) -> Plan:
         """The finished plan."""
@@ -273,7 +379,7 @@ class Compilation:
             trials=tuple(self.trials),
             steps=tuple(self.steps),
             settings=settings,
-            accept=accept.for_plan(self, self.head.accept),
+            accept=acceptance_for_plan(self, self.head.accept),
             hazards=tuple(self.hazards),
         )
 

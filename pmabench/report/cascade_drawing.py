@@ -13,7 +13,7 @@ from html import escape
 import numpy as np
 
 from pmabench.model.muscle import Outline, outline
-from pmabench.plotting.plots import BLUE, BROWN, FAINT, INK, QUIET, WARN
+from pmabench.plotting.looks import BLUE, BROWN, FAINT, INK, QUIET
 from pmabench.report.cascade_record import Link, Result
 
 WIDTH = 1000.0
@@ -190,7 +190,7 @@ def _head(result: Result, scene: Scene) -> str:
     return (
         f'<text x="24" y="28" font-size="17" font-weight="650" fill="{INK}">{escape(result.name)}</text>'
         f'<text x="24" y="48" font-size="12" fill="{QUIET}">{escape(about)}</text>'
-        f'<text x="{px(WIDTH - 24)}" y="26" text-anchor="end" font-size="11" font-weight="700" fill="{WARN}">'
+        f'<text x="{px(WIDTH - 24)}" y="26" text-anchor="end" font-size="11" font-weight="700" fill="{BROWN}">'
         "SIMULATED</text>"
         f'<text x="{px(WIDTH - 24)}" y="48" text-anchor="end" font-size="12" fill="{QUIET}">'
         f"{pressure_words(scene)}</text>"

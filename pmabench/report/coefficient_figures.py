@@ -15,19 +15,9 @@ from math import floor, log10, nan
 import numpy as np
 
 from pmabench.base.kind import Result
-from pmabench.plotting.chart import COLUMN, GAP, HIGH, PAGE, Chart, Series
-from pmabench.plotting.pictures import (
-    Picture,
-    of_charts,
-)
-from pmabench.plotting.plots import (
-    BROWN,
-    DARK,
-    GREEN,
-    INK,
-    PALETTE,
-    Array,
-)
+from pmabench.plotting.chart import COLUMN, GAP, HIGH, PAGE, Array, Chart, Series
+from pmabench.plotting.looks import BROWN, DARK, GREEN, INK, PALETTE
+from pmabench.plotting.pictures import Picture, of_charts
 from pmabench.plotting.wording import (
     POINTS,
     RAISED,
@@ -207,7 +197,7 @@ def _figure(
     caption += f".{_crosses(members)}{missing_words([e for _, e in members], over, 6)}"
     table = table_of([e for _, e in members], over)
     simulated = any(analysis.simulated for analysis, _ in members)
-    return of_charts([[chart]], title, caption, alt, table, simulated=simulated, still=True)
+    return of_charts([[chart]], title, caption, alt, table, simulated=simulated)
 
 
 def _chart(
@@ -251,7 +241,7 @@ def _chart(
         other = "" if first or theirs or still else method
         said = f"{name}, {other}" if other else name
         hollow = not (first or theirs)
-        series.append(Series(label, x, y, color, True, half, method=other, hollow=hollow, cross=theirs, said=said))
+        series.append(Series(label, x, y, color, "x" if theirs else "o", half, method=other, hollow=hollow, said=said))
     values = sorted((e.value or 0.0) / unit.scale for e in known)
     names = ", ".join(clean(s, 40) for s in symbols)
     return Chart(
@@ -263,7 +253,6 @@ def _chart(
         alt=f"{names} between {values[0]:.4g} and {values[-1]:.4g} {unit.unit}.".replace(" .", "."),
         zero=min(values) >= 0 and min(values) < 0.45 * max(values),
         together="over",
-        stamp="SIMULATED" if any(a.simulated for a, _ in members) else "",
         legend=max((len(s.label) for s in series), default=0) > SHORT,
     )
 
@@ -385,7 +374,7 @@ def _surface_chart(
         x, y, half = _columns(mine, across, unit)
         name = f"{number(place / at_unit.scale)} {at_unit.unit}"
         series.append(Series("", x, y, blue(share), width=0.8, hidden=True))
-        series.append(Series(name, x, y, blue(share), True, half, name_color=blue(max(share, READABLE))))
+        series.append(Series(name, x, y, blue(share), "o", half, name_color=blue(max(share, READABLE))))
     values = [(e.value or 0.0) / unit.scale for e in known]
     symbol = symbol_text(known[0].symbol)
     return Chart(
@@ -396,5 +385,4 @@ def _surface_chart(
         height=size[1],
         alt=f"{symbol} between {min(values):.4g} and {max(values):.4g} {unit.unit}.",
         zero=min(values) >= 0,
-        stamp="SIMULATED" if simulated else "",
     )

@@ -1,4 +1,4 @@
-"""Which figures an analysis has, with captions in plain words and alternative texts; draws through `plots`.
+"""Which figures an analysis has, with captions in plain words and alternative texts.
 
 A trace of an unknown kind becomes a generic line plot, so a new reduction needs no entry here.
 """
@@ -11,26 +11,16 @@ import numpy as np
 
 from pmabench.base.kind import load
 from pmabench.kinds import registry
-from pmabench.plotting import time_plots
-from pmabench.plotting.pictures import (
-    Picture,
-    bound,
-    column,
-    drawable,
-    has,
-    label,
-    numbers,
-    panel,
-    picture,
-    spread,
-)
+from pmabench.plotting.chart import PAGE, Chart, Series, small_multiples
+from pmabench.plotting.looks import PALETTE
+from pmabench.plotting.pictures import Picture, column, curve, drawable, has, label, numbers, of_charts, spread
 from pmabench.plotting.wording import COLUMNS, clean, shown
 from pmabench.report import coefficient_figures
 from pmabench.report.certificate.force_chart import FIGURE
 from pmabench.store.analyses.results import Analysis, Trace
 
-GENERIC = 6
-"""Most figures of traces that no kind of test draws."""
+GENERIC, FEW = 6, 30
+"""Most figures of traces that no kind of test draws, and points up to which they may be marks."""
 
 
 def front_pictures(
@@ -101,15 +91,24 @@ def _generic(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
         if len(names) < 2:
             continue
         x, rest = names[0], names[1:9]
-        data = panel(trace, {name: name for name in names}, clean(trace.title, 90)).columns
-        columns = [(_word(name), _axis(trace, name, rest), data[name]) for name in rest]
-        draw = bound(time_plots.lines, "", data[x], label(trace, x), columns)
+        rows = small_multiples([_lines(trace, x, rest)], 1, width=PAGE)
         title = clean(trace.title, 120) or clean(trace.name, 80)
         ends = column(trace, x)[np.isfinite(column(trace, x))]
         over = f"over {label(trace, x)}, from {ends.min():.4g} to {ends.max():.4g}"
         alt = f"{', '.join(map(_word, rest))} {over}."
-        found.append(picture(draw, title, "", alt, numbers([("", trace)]), wide=True, simulated=simulated))
+        found.append(of_charts(rows, title, "", alt, numbers([("", trace)]), simulated=simulated))
     return found
+
+
+def _lines(trace: Trace, x: str, names: Sequence[str]) -> list[Chart]:
+    """Columns over another one, a chart for each axis label; few points as marks."""
+    at, axes = column(trace, x), [_axis(trace, name, names) for name in names]
+    mark = "o" if len(at) <= FEW and not np.all(np.diff(at) > 0) else ""
+    series: dict[str, list[Series]] = {}
+    for n, (name, axis) in enumerate(zip(names, axes, strict=True)):
+        said, color = _word(name) if axes.count(axis) > 1 else "", PALETTE[n % len(PALETTE)]
+        series.setdefault(axis, []).append(curve(trace, x, name, said, color, mark, dashed=n % 2 > 0 and bool(said)))
+    return [Chart(label(trace, x), axis, tuple(mine), height=128.0, legend=True) for axis, mine in series.items()]
 
 
 def _word(name: str) -> str:

@@ -4,21 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pmabench.analysis.verdict.life import Past, References, Series, chosen
 from pmabench.base.quantities import in_words
-from pmabench.plotting import plots
-from pmabench.plotting.pictures import LARGEST, Picture, picture
+from pmabench.plotting.chart import PAGE, Chart, Level
+from pmabench.plotting.chart import Series as Drawn
+from pmabench.plotting.looks import BLUE, FAINT, FAULT
+from pmabench.plotting.pictures import LARGEST, Picture, of_charts
 from pmabench.plotting.wording import Frame, clean, point_text, rounded, shown, symbol_text
 from pmabench.report.words import kind_title
 from pmabench.report.writing import Page, TextTable, write_page
 from pmabench.store.analyses.results import Finding
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 FEWEST = 2
 """Values that a figure over the life needs."""
@@ -58,14 +56,9 @@ def _over_cycles(one: Series, *, simulated: bool) -> Picture:
         x, over, axis = np.arange(1.0, len(x) + 1), "in order of time", "value, in order of time"
     y = np.array([m.estimate.value or 0.0 for m in moments]) / unit.scale
     bars = np.array([m.estimate.parts.combined or 0.0 for m in moments]) / unit.scale
-
-    def draw() -> Figure:
-        figure, axes = plots.one_axes(plots.HALF, 2.4, left=0.6, top=0.2)
-        axes.errorbar(x, y, yerr=bars, fmt="o", color=plots.BLUE, markersize=4, capsize=2, linewidth=1)
-        axes.set(xlabel=axis, ylabel=unit.label(clean(e.symbol, 20)))
-        axes.locator_params(axis="x", integer=True)
-        return figure
-
+    series = (Drawn("", x, y, BLUE, "o", bars),)
+    x_ticks = () if axis == "pressure cycles" else _whole(len(x))
+    chart = Chart(axis, unit.label(clean(e.symbol, 20)), series, x_ticks=x_ticks)
     at = point_text({name: value for name, value in e.at.items() if name != "mass"})
     name = clean(one.name, 200)
     interval_text = "95 % intervals" if bars.any() else "values without intervals"
@@ -77,13 +70,12 @@ def _over_cycles(one: Series, *, simulated: bool) -> Picture:
         }
         for m, v, half in zip(moments, y.tolist(), bars.tolist(), strict=True)
     ]
-    return picture(
-        draw,
+    return of_charts(
+        [[chart]],
         f"{name[:1].upper()}{name[1:]} {over}",
         f"{kind_title(one.kind)}{f', {at}' if at else ''}; {interval_text}.",
         f"Plot of {name} {over}, {len(moments)} values. The numbers are in the table below.",
         Frame(rows),
-        wide=False,
         simulated=simulated,
     )
 
@@ -92,26 +84,24 @@ def _control(one: References, *, simulated: bool) -> Picture:
     """Strokes of a reference trial by days in order of time, and their means with control limits."""
     strokes = np.array([stroke for _, _, stroke, _ in one.moments]) * 1e3
     limits, days = one.chart, one.days
-    means, place = np.array([stroke for _, _, stroke, _ in days]) * 1e3, np.arange(1, len(days) + 1)
+    means, place = np.array([stroke for _, _, stroke, _ in days]) * 1e3, np.arange(1.0, len(days) + 1)
     dates = [date[:10] for date, *_ in days]
-    single = [dates.index(date[:10]) + 1 for date, *_ in one.moments]
+    single = np.array([dates.index(date[:10]) + 1.0 for date, *_ in one.moments])
     alarms = set() if limits is None else {*limits.beyond, *([limits.shifted] if limits.shifted is not None else [])}
-
-    def draw() -> Figure:
-        figure, axes = plots.one_axes(plots.FULL, 2.5, left=0.65, top=0.2)
-        if limits is not None:
-            axes.axhspan(1e3 * limits.low, 1e3 * limits.high, color=plots.FAINT, alpha=0.2, linewidth=0)
-            axes.axhline(1e3 * limits.centre, color=plots.QUIET, linewidth=0.8)
-        axes.plot(single, strokes, ".", color=plots.FAINT, markersize=3)
-        axes.plot(place, means, "-", color=plots.FAINT, linewidth=0.8)
-        for alarm in (False, True):
-            rows = [i for i in range(len(days)) if (i in alarms) == alarm]
-            axes.plot(place[rows], means[rows], "s" if alarm else "o", color=plots.FAULT if alarm else plots.BLUE,
-                      markersize=4, linestyle="none")  # fmt: skip
-        axes.set(xlabel="day, in order of time", ylabel="stroke [mm]")
-        axes.locator_params(axis="x", integer=True)
-        return figure
-
+    marks = [
+        Drawn("", single, strokes, FAINT, "."),
+        Drawn("", place, means, FAINT, width=0.8),
+        *(
+            Drawn("", place[mine], means[mine], FAULT if alarm else BLUE, "s" if alarm else "o")
+            for alarm in (False, True)
+            if (mine := [i for i in range(len(days)) if (i in alarms) == alarm])
+        ),
+    ]
+    levels: tuple[Level, ...] = ()
+    if limits is not None:
+        levels = (Level(1e3 * limits.low, to=1e3 * limits.high), Level(1e3 * limits.centre, dashed=False))
+    x_label, whole = "day, in order of time", _whole(len(days))
+    chart = Chart(x_label, "stroke [mm]", tuple(marks), PAGE, levels=levels, x_ticks=whole)
     caption = "Means of days; too few for control limits."
     if limits is not None:
         caption = (
@@ -123,16 +113,20 @@ def _control(one: References, *, simulated: bool) -> Picture:
          "stroke [mm]": f"{1e3 * stroke:.6g}"}
         for date, cycles, stroke, trial in one.moments
     ]  # fmt: skip
-    return picture(
-        draw,
+    return of_charts(
+        [[chart]],
         f"Control chart: {clean(one.title, 120)}",
         caption,
         f"Strokes of {len(strokes)} reference trials on {len(days)} days in order of time, from {strokes.min():.4g} to "
         f"{strokes.max():.4g} mm; {len(alarms)} are marked. The numbers are in the table below.",
         Frame(rows),
-        wide=True,
         simulated=simulated,
     )
+
+
+def _whole(most: int) -> tuple[float, ...]:
+    """About ten ticks at whole numbers from 1 on."""
+    return tuple(map(float, range(1, most + 1, -(-most // 10))))
 
 
 Rows = tuple[list[str], list[list[str]]]

@@ -24,12 +24,10 @@ from pmabench.engine.executor import Executor, Progress
 from pmabench.engine.operator import Operator
 from pmabench.engine.run import Outcome
 from pmabench.guard.station import Station
-from pmabench.protocol.plan import HANDS_OUT, VENTED_WITHIN, Ask, Hold, Record, Set, WaitUntil
+from pmabench.protocol.plan import Ask, Hold, Record, Set, WaitUntil
 from pmabench.session.checks import Check
 from pmabench.session.guided import guided_run, put_on, steady
 from pmabench.session.self_test import SelfTesting, refuse_backwards
-from pmabench.session.several import longest
-from pmabench.session.stepping import LEAK, REST, SPEED, VALVE, WAY, isolation
 
 FILE = "session"
 
@@ -200,51 +198,14 @@ def as_data(taken: Mapping[str, ZeroTaken]) -> dict[str, dict[str, Any]]:
     return {name: asdict(zero) for name, zero in taken.items()}
 
 
-@dataclass(frozen=True)
-class Length:
-    """Shortest and longest duration [s], without the operator's time; most manual actions; names of the parts."""
-
-    shortest: float
-    longest: float
-    hands: int
-    parts: tuple[str, ...]
-
-
-def session_length(mounted: Mounted) -> Length | None:
-    """Predicted duration of the session of a bench; None if its file declares none."""
+def parts(mounted: Mounted) -> list[str]:
+    """What the session of a bench consists of; empty if its file declares none."""
     declared = mounted.session
     if declared is None:
-        return None
-    weights = mounted.bench_file.weights is not None
-    shortest, perhaps, hands = 0.0, 0.0, 0
-    parts = []
-    test = declared.self_test
-    if test is not None and mounted.bench_file.muscles:
-        parts.append("self-test")
-        shortest += longest(mounted, test)
-    elif test is not None:
-        parts.append("self-test")
-        shortest += REST + (2 * len(test.points) + 4) * test.settle
-        shortest += VALVE if any(valve.safe == "open" for valve in mounted.bench.valves) else 0.0
-        if any(output.name == "displacement" for output in mounted.bench.outputs):
-            shortest += 2 * (WAY / SPEED + 2 * REST)
-        if isolation(mounted):
-            shortest += 2 * test.settle + 1.0 + LEAK
-        if weights:
-            loaded = test.load is not None
-            hands += 2 + loaded
-            shortest += REST * (1 + loaded) - HANDS_OUT
-            perhaps = HANDS_OUT + REST + 2 * test.settle  # with the hanger alone, if the load did not leave its support
-    if declared.warm_up is not None:
-        parts.append("warm-up")
-        shortest += declared.warm_up.duration
-    if declared.zeros:
-        parts.append("zeros")
-        shortest += STEADY * len(declared.zeros)
-        hands += sum(without_number(name)[0] != "pressure" for name in declared.zeros)
-    shortest += HANDS_OUT * hands
-    slack = VENTED_WITHIN * hands + STEADY_WITHIN * (len(declared.zeros) + 1)
-    return Length(shortest, shortest + perhaps + slack, hands, tuple(parts))
+        return []
+    found = ["self-test"] if declared.self_test is not None else []
+    found += [f"warm-up of {in_words(declared.warm_up.duration)}"] if declared.warm_up is not None else []
+    return [*found, *(["zeros"] if declared.zeros else [])]
 
 
 SCHEMA = "pmabench.session/1"

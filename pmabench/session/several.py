@@ -17,7 +17,7 @@ from pmabench.engine.executor import Executor
 from pmabench.protocol.plan import Set
 from pmabench.session.checks import NOT_CHECKED, NOT_MEASURED, Check, at_rest, judged, refuse
 from pmabench.session.guided import Series, listen
-from pmabench.session.stepping import LEAK, NO_LEAK, REST, isolation, leaks
+from pmabench.session.stepping import NO_LEAK, REST, isolation, leaks
 from pmabench.session.wiring import SIGNIFICANT, Wiring
 
 PHASE = "self-test"
@@ -233,11 +233,3 @@ class EachMuscle:
         for number, (check, numbers) in zip(self._names, leaks(executor, self._mounted, self._test, rows), strict=True):
             self.leaks[number] = numbers
             yield check
-
-
-def longest(mounted: Mounted, test: SelfTest) -> float:
-    """Longest duration of this self-test [s]."""
-    muscles, shut = len(mounted.bench_file.muscles), bool(isolation(mounted))
-    holds = 2 * muscles + len(test.points) + 1
-    holds += 2 * muscles + 1 if mounted.bench.free_end == "joint" else 0
-    return REST + (holds + 2 * shut) * test.settle + (1.0 + LEAK) * shut

@@ -125,7 +125,7 @@ def read_stream(path: Path | str, name: str = "", raw: bool = False) -> pd.DataF
     samples = folder.stream(name or names[0], events_of(folder.journal()))
     columns: dict[str, NDArray[Any]]
     if raw:
-        columns = {TIME: samples.time_ns, **samples.raw, FLAGS: samples.flags}
+        columns = {name: _whole(samples.table.column(name)) for name in samples.table.column_names}
         units = {TIME: "ns", **samples.raw_units}
     else:
         columns = {"t": samples.t, **samples.channels, FLAGS: samples.flags}
@@ -146,9 +146,9 @@ class Samples:
 
     name: str
     rate: float
-    time_ns: NDArray[np.int64]
     t: Array
-    raw: Mapping[str, NDArray[Any]]
+    table: Any
+    """As recorded: `time_ns`, the raw values of the device, `flags`."""
     raw_units: Mapping[str, str]
     channels: Mapping[str, Array]
     infos: Mapping[str, ChannelInfo]
@@ -159,8 +159,8 @@ class Samples:
     @classmethod
     def none(cls, name: str) -> Samples:
         """A stream without channels and samples."""
-        none = np.empty(0, np.int64)
-        return cls(name, 0.0, none, np.empty(0), {}, {}, {}, {}, np.empty(0, np.uint16), False, ClockInfo())
+        table = pa.schema([(TIME, pa.int64()), (FLAGS, pa.uint16())]).empty_table()
+        return cls(name, 0.0, np.empty(0), table, {}, {}, {}, np.empty(0, np.uint16), False, ClockInfo())
 
 
 class RunFiles:
@@ -275,28 +275,37 @@ def _clock(name: str, events: tuple[Event, ...], arrivals: list[tuple[int, int]]
 
 def _in_si(table: Any, about: Mapping[str, Any], clock: ClockInfo, whole: bool) -> Samples:
     """The samples of a table with the time of the run instead of the device's, and in SI."""
-    columns = {name: numbers(table.column(name).combine_chunks()) for name in table.column_names}
-    time_ns = columns.pop(TIME)
-    flags = columns.pop(FLAGS)
     rate = float(about.get("rate") or 0.0)
     infos = {column["name"]: channel_info(column, about["stream"], rate) for column in about["columns"]}
-    with np.errstate(all="ignore"):  # an imported file may have any values
-        channels = {name: values * infos[name].slope for name, values in columns.items()}
-        for name, values in channels.items():
-            values += infos[name].offset
     return Samples(
         name=str(about["stream"]),
         rate=rate,
-        time_ns=time_ns,
-        t=clock.time(time_ns),
-        raw=columns,
+        t=clock.time(_whole(table.column(TIME))),
+        table=table,
         raw_units={column["name"]: str(column.get("raw_unit", "")) for column in about["columns"]},
-        channels=channels,
+        channels={name: _scaled(table.column(name), info) for name, info in infos.items()},
         infos=infos,
-        flags=flags,
+        flags=_whole(table.column(FLAGS)),
         whole=whole,
         clock=clock,
     )
+
+
+def _whole(column: Any) -> NDArray[Any]:
+    """The values of a column of a table, shape (n,)."""
+    return numbers(column.combine_chunks())
+
+
+def _scaled(column: Any, info: ChannelInfo) -> Array:
+    """The same in SI, chunk by chunk: there is no copy of the raw values."""
+    values, first = np.empty(len(column)), 0
+    with np.errstate(all="ignore"):  # an imported file may have any values
+        for chunk in column.chunks:
+            part = values[first : first + len(chunk)]
+            np.multiply(numbers(chunk), info.slope, out=part)
+            part += info.offset
+            first += len(chunk)
+    return values
 
 
 def channel_info(column: Mapping[str, Any], stream: str, rate: float) -> ChannelInfo:

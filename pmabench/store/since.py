@@ -13,6 +13,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 import stat
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import suppress
@@ -220,7 +221,7 @@ def _listed(names: list[str]) -> str:
 READ = (files.MANIFEST, files.SEAL, files.NOTES_HEAD)
 PARTS = ("analysis", "base", "bench", "files", "kinds", "model", "plotting", "report", "store")
 """Packages whose code affects results and reports."""
-LIBRARIES = ("numpy", "scipy", "pandas", "pyarrow", "matplotlib", "jinja2")
+LIBRARIES = ("numpy", "scipy", "pandas", "pyarrow", "jinja2")
 GROUPS = ("pmabench.kinds", "pmabench.models", "pmabench.rules")
 """Groups of entry points through which other packages add code that affects results."""
 
@@ -285,8 +286,14 @@ def program() -> str:
                 digest.update(Path(path).read_bytes())
     for library in LIBRARIES:
         with suppress(metadata.PackageNotFoundError):
-            digest.update(f"{library} {metadata.version(library)}\0".encode())
+            digest.update(f"{library} {_version(metadata.distribution(library))}\0".encode())
     return digest.hexdigest()
+
+
+def _version(library: metadata.Distribution) -> str:
+    """As `library.version`, for which all of a metadata file is parsed as an e-mail."""
+    found = re.search(r"^Version: (.*)$", library.read_text("METADATA") or "", re.MULTILINE)
+    return found[1] if found else library.version
 
 
 def _extensions() -> Iterator[Path]:

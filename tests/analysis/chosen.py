@@ -15,9 +15,8 @@ from typing import Any
 import numpy as np
 
 from pmabench.analysis.next_trial import Goal
-from pmabench.kinds.contraction_relaxation.known import Known, known_after
+from pmabench.kinds.contraction_relaxation.known import Known, cells_of, known_after
 from pmabench.kinds.contraction_relaxation.next_trial import Chooser, Stop
-from pmabench.kinds.contraction_relaxation.predicted import cells_of
 from pmabench.store.records import Event, RunData
 from tests.analysis.judged import as_run
 from tests.judge.campaign import BASELINE, CONTRACT, DURATION, NOISE, RELAX, Trial, commands

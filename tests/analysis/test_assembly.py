@@ -12,13 +12,15 @@ import numpy as np
 import pytest
 import yaml
 from click.testing import CliRunner
-from pmabench_drivers.mock.options import read_options
+from pmabench_drivers.mock import MockBench
 
 from pmabench.analysis.verdict.agreement import adds_up, of_one, without_diameter
 from pmabench.analysis.verdict.comparison import Side, compare
+from pmabench.base.clock import VirtualClock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.compile import mount
 from pmabench.bench.files.specimen import SpecimenFile
+from pmabench.bench.interface import DeviceRecord
 from pmabench.cli.main import main
 from pmabench.engine.operator import ConfirmedBeforehand
 from pmabench.engine.run import run_plan
@@ -196,6 +198,6 @@ def test_two_of_30_cm_end_to_end_are_one_of_60_cm_where_the_connector_is_left_ou
 
 def test_the_mock_takes_whole_muscles_at_a_driven_end_only():
     with pytest.raises(DeviceError, match="driven free end"):
-        read_options("plant", {"parallel": 4})
+        MockBench(DeviceRecord("plant", "", "", {"parallel": 4}), VirtualClock())
     with pytest.raises(ValueError, match="it is one muscle without air"):
         preset("real", "bench", Overrides(parallel=4.0))

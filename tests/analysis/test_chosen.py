@@ -15,9 +15,8 @@ import numpy as np
 import pytest
 
 from pmabench.analysis.next_trial import MOST_IN_CELL, SWEEP, Goal
-from pmabench.kinds.contraction_relaxation.known import Known, known_after
+from pmabench.kinds.contraction_relaxation.known import Known, cells_of, known_after
 from pmabench.kinds.contraction_relaxation.next_trial import Chooser
-from pmabench.kinds.contraction_relaxation.predicted import cells_of
 from pmabench.store.records import Array
 from tests.analysis import test_contraction_sensors as sensors
 from tests.analysis import test_joined_days as joined

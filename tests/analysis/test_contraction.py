@@ -157,7 +157,7 @@ def test_residual_is_what_the_noise_explains():
     assert analysis.facts["expected_rms"] == pytest.approx(expected, rel=0.15)
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2, 3])
+@pytest.mark.parametrize("seed", [0, 1])
 def test_noise_that_rest_does_not_show_is_not_followed_in_a_short_run(seed):
     """Times that jitter by 0.3 ms: the residual is more than the channels at rest explain, and no knot mends that."""
 
@@ -339,7 +339,7 @@ def test_a_muscle_of_another_form_is_doubted():
         x = trial.channels["displacement"]
         return replace(trial, channels={**trial.channels, "displacement": x * (1 - 4 * x)})
 
-    analysis = reduce([replace(run, trials=tuple(bent(trial) for trial in run.trials))], {"replays": 2})
+    analysis = reduce([replace(run, trials=tuple(bent(trial) for trial in run.trials))], {"replays": 0})
     assert any(f.level == "doubt" and "the data do not have the form of the model" in f.text for f in analysis.findings)
 
 

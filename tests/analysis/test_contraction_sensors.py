@@ -101,9 +101,9 @@ def scores(found):
     }
 
 
-@pytest.mark.parametrize(("bits", "noise"), [(8, 250.0), (8, 1000.0), (9, 25.0), (10, 25.0)])
+@pytest.mark.parametrize(("bits", "noise"), [(8, 250.0), (9, 25.0)])
 def test_a_pressure_that_is_read_in_steps_is_in_the_intervals(bits, noise):
-    """By 8 to 10 bits of 10 bar; B_r was 9 half widths off, for each trial meets the same steps."""
+    """By 8 or 9 bits of 10 bar; B_r was 9 half widths off, for each trial meets the same steps."""
     found = reduced(bits, noise)
     known = scores(found)
     assert any(f.text.startswith("the pressure is read in steps of") for f in found.findings)

@@ -6,8 +6,7 @@ import pytest
 
 from pmabench.base.kind import Result
 from pmabench.base.quantities import QUANTITIES
-from pmabench.kinds.reduce import results_of
-from pmabench.kinds.registry import all_kinds
+from pmabench.kinds.registry import all_kinds, kind_of
 from pmabench.report.words import in_common
 from pmabench.store.analyses.results import Analysis, Curve, Estimate
 
@@ -63,7 +62,7 @@ def test_a_symbol_declared_twice_is_an_error():
 
 @pytest.mark.parametrize("kind", all_kinds())
 def test_every_reduction_declares_titles_units_and_a_headline(kind):
-    declared = results_of(kind)
+    declared = kind_of(kind).results
     assert any(result.headline for result in declared)
     assert len({result.symbol for result in declared}) == len(declared)
     for result in declared:
@@ -74,7 +73,7 @@ def test_every_reduction_declares_titles_units_and_a_headline(kind):
 def test_one_coefficient_has_one_title_in_all_kinds():
     titles = {}
     for kind in all_kinds():
-        for result in results_of(kind):
+        for result in kind_of(kind).results:
             titles.setdefault((result.symbol, result.quantity), set()).add(result.title)
     assert {key: names for key, names in titles.items() if len(names) > 1} == {}
 

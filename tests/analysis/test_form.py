@@ -98,7 +98,7 @@ def test_a_fault_is_named_with_its_size_and_corrected(cause: str, size: float) -
 
 
 @pytest.mark.parametrize(("channel", "fast"), [
-    ("pressure", 10e-6), ("displacement", 10e-6), ("displacement", -30e-6), ("force", -30e-6),
+    ("pressure", 10e-6), ("displacement", -30e-6),
 ])  # fmt: skip
 def test_a_clock_that_runs_fast_is_named_with_its_pace_and_taken_off(channel: str, fast: float) -> None:
     """10 ppm are 8 ms at the end of the campaign, and withheld all values; stamps are t (1 + fast)."""

@@ -48,7 +48,9 @@ def sigmoid(p, L0):
     return a + (L0 - a) / (1 + (p / c) ** d) ** e - 0.009 * L0 * np.sqrt(p), (a, L0 - a, c, d, e)
 
 
-@pytest.mark.parametrize("cm", TABLE)
+@pytest.mark.parametrize(
+    "cm", [pytest.param(cm, marks=() if cm in (min(TABLE), max(TABLE)) else pytest.mark.study) for cm in TABLE]
+)
 def test_each_length_of_paper_2_contracts_as_its_equations_say(tmp_path, cm):
     run = recorded(tmp_path, "free-contraction", bench_of(cm), f"contractor-{cm}", *BELOW)
     found = reduce([run])

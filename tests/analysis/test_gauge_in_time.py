@@ -55,7 +55,7 @@ def test_a_filter_of_the_gauge_is_no_dead_time_and_no_lag_of_the_regulator(filte
 
 
 def test_a_filter_shorter_than_a_sample_period_is_in_the_interval_of_the_dead_time():
-    assert all(holds(times("pressure", short)["dead time"], DEAD) for short in (0.001, 0.0019))
+    assert holds(times("pressure", 0.0019)["dead time"], DEAD)
     assert times("", 0.0)["dead time"].parts.combined < 1e-4
 
 

@@ -93,7 +93,7 @@ CASES: dict[str, Callable[[Path], Analysis]] = {
     "static, repeats": lambda _: static_load.reduce([static(100.0, 200.0, repeats=2)]),
     "one sine": lambda _: sine.reduce([sines(1.0)]),
     "two sines": lambda _: sine.reduce([sines(0.5, 3.0)]),
-    "sines": lambda _: sine.reduce([sines(0.1, 0.5, 1.0, 3.0, repeats=2)]),
+    "sines": lambda _: sine.reduce([sines(0.5, 1.0, 3.0, repeats=2)]),
     "ultimate gain": lambda _: ultimate_gain.reduce([as_run("ultimate-gain", [clean()[0]])]),
     "isometric": lambda folder: isometric.reduce(old("isometric/*.csv", "isometric.yaml", folder)),
     "one isometric": lambda folder: isometric.reduce(old("isometric/*.csv", "isometric.yaml", folder)[:1]),
@@ -216,14 +216,13 @@ def test_contraction(channel: str, gain: float, offset: float):
     assert count > 25
 
 
-@pytest.mark.parametrize(("channel", "gain", "offset"), [("displacement", GAIN, 0.0), ("displacement", 0.0, 20e-6)])
-def test_the_papers_way(channel: str, gain: float, offset: float):
+def test_the_papers_way():
     def next_to(runs: list[RunData]) -> Analysis:
         found = contraction.reduce(runs, {"replays": 0})
         return replace(found, estimates=tuple(e for e in found.estimates if e.method == "step-exponential"), curves=())
 
     # the velocity gate of the segments has a little to say here, too: which trials count as moved
-    assert compare(next_to, contracting(), channel, gain, offset, {"F_ce", "K", "B_c", "B_r"}, 0.06) > 20
+    assert compare(next_to, contracting(), "displacement", GAIN, 0.0, {"F_ce", "K", "B_c", "B_r"}, 0.06) > 20
 
 
 @pytest.mark.parametrize(("gain", "offset"), [(GAIN, 0.0), (0.0, 1500.0)])
@@ -234,14 +233,14 @@ def test_static_load(gain: float, offset: float):
 
 @pytest.mark.parametrize("channel", ["force", "displacement", "pressure"])
 def test_sines(channel: str):
-    run = sines(0.1, 0.5, 1.0, 3.0, pressures=(2e5, 3e5, 4e5))
-
     if channel != "pressure":
-        assert compare(sine.reduce, run, channel, GAIN, 0.0, {"K", "B", "F_c", "H", "W", "phi"}, 0.03) > 50
+        run = sines(0.5, 1.0, 3.0, pressures=(2e5, 4e5))
+        assert compare(sine.reduce, run, channel, GAIN, 0.0, {"K", "B", "F_c", "H", "W", "phi"}, 0.03) > 25
         return
+    run = sines(0.5, 1.0, 3.0, pressures=(2e5, 3e5, 4e5))
     # a run at 300 kPa as read was at 303 kPa when the gauge reads 1 % too little: K is off by the slope of K there
     found = values(sine.reduce([reported(run, "pressure", GAIN)]))
-    there = values(sine.reduce([sines(0.1, 0.5, 1.0, 3.0, pressures=(2.02e5, 3.03e5, 4.04e5))]))
+    there = values(sine.reduce([sines(0.5, 1.0, 3.0, pressures=(2.02e5, 3.03e5, 4.04e5))]))
     for symbol, slope in (("K", 1e-3 + 2 * 9.7e-9 * 3e5), ("B", 2.5e-3)):
         (e,) = [e for e in found.values() if e.symbol == symbol and e.method == "sine-harmonic"
                 and e.at["pressure"] == 3e5 and "frequency" not in e.at]  # fmt: skip

@@ -109,8 +109,9 @@ def holds(e, truth):
     return e.value is None or abs(e.value - truth) <= e.parts.combined
 
 
-@pytest.mark.parametrize("columns", ["pressure_command, unit: kPa", "ignore"])
-@pytest.mark.parametrize("h", [0.0, 3.0, 12.0])
+@pytest.mark.parametrize(("h", "columns"), [
+    (0.0, "ignore"), (3.0, "pressure_command, unit: kPa"), (12.0, "ignore"), (12.0, "pressure_command, unit: kPa"),
+])  # fmt: skip
 def test_of_a_staircase_the_holds_show_the_line(tmp_path, h, columns):
     """The way from hold to hold was taken for a ramp, and only the last: slopes were 3 to 11 % off, with +- 0.4 %."""
     found = campaign(tmp_path, staircase(), h, columns=columns)
@@ -186,21 +187,23 @@ def of_a_drifting_cell(course, seed, known=None):
     return of(reduce([as_run("isometric-pressurisation", as_trials(drifting), held.RATE, {}, known)]), "H")
 
 
-@pytest.mark.parametrize("drift", [0.0, 0.5, 1.0])
-@pytest.mark.parametrize("course", [
-    lambda n, share: share, lambda n, share: (share > 0.5) * 1.0, lambda n, share: -1.0 * (share > 0.1 * (n % 10)),
-    lambda n, share: 0.5 * (n + share),
+def evenly(_, share):
+    return share
+
+
+@pytest.mark.parametrize(("drift", "course"), [
+    (0.0, evenly), (0.5, evenly), (1.0, evenly), (1.0, lambda _, share: (share > 0.5) * 1.0),
+    (1.0, lambda n, share: -1.0 * (share > 0.1 * (n % 10))), (1.0, lambda n, share: 0.5 * (n + share)),
 ])  # fmt: skip
 @pytest.mark.parametrize(("gap", "known"), [(20.0, 1.0), (6.0, None)])
 def test_a_loop_is_known_to_the_drift_of_the_cell(monkeypatch, drift, course, gap, known):
     """Steps of 1 N in each test put H 5 half widths off, an even drift of 0.5 N a test withheld every one of 6 N."""
     monkeypatch.setattr(held, "GAP", gap)
-    for seed in range(2):
-        widths = of_a_drifting_cell(lambda n, share: drift * course(n, share), seed, known)
-        assert len(widths) == len(held.CONTRACTIONS)
-        for e in widths:
-            assert e.value is not None
-            assert abs(e.value - gap) <= e.parts.combined < 1.2 + 1.7 * drift
+    widths = of_a_drifting_cell(lambda n, share: drift * course(n, share), 0, known)
+    assert len(widths) == len(held.CONTRACTIONS)
+    for e in widths:
+        assert e.value is not None
+        assert abs(e.value - gap) <= e.parts.combined < 1.2 + 1.7 * drift
 
 
 def test_a_drift_of_more_than_half_a_loop_withholds_it():

@@ -219,24 +219,25 @@ def test_the_same_holds_where_a_computer_polls_the_devices(scatter: float):
 def test_times_that_scatter_hide_no_drift_and_are_no_fault():
     """A drift was taken for clocks that are late; polled devices were withheld for their times."""
     sound = judged(("clean", 1.0, 10), 2e-3)
-    drifted, bent = (judged((cause, 0.5, 100), 1e-3) for cause in ("cell-drift", "bend"))
+    drifted = judged(("cell-drift", 0.5, 100), 1e-3)
     assert (sound.why, sound.withheld) == ((), 0)
     assert sound.worst < FAR
     assert drifted.named == ("drift",)
-    assert bent.named == ("bend",)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("cause", "size"), [*((cause, 1.0) for cause in CAUSES), ("cell-drift", SIZES[-1])])
+@pytest.mark.parametrize(
+    ("cause", "size"), [("cell-drift", 1.0), ("cell-drift", SIZES[-1]), ("slip-3", 1.0), ("creep", 1.0)]
+)
 def test_a_fault_is_never_accepted_with_a_wrong_number(cause: str, size: float):
+    """`test_form` has each cause at a smaller size, where it has to be named and corrected."""
     one = judged((cause, size, 100))
     assert far([one]) == []
     assert one.named or one.why or size < 1.0, "at full size each fault is seen"
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [100, 101])
-def test_a_clean_campaign_is_accepted(seed: int):
-    one = judged(("clean", 1.0, seed))
+def test_a_clean_campaign_is_accepted():
+    one = judged(("clean", 1.0, 100))
     assert (one.why, one.withheld) == ((), 0)
     assert one.worst < FAR

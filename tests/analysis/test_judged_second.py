@@ -107,10 +107,9 @@ def test_a_clean_campaign_of_the_second_muscle_is_accepted_and_right():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("cause", "amount"), [("bend", 0.1), ("creep", 0.04)])
-def test_a_departure_of_the_second_muscle_is_named_and_its_values_are_printed_and_right(cause: str, amount: float):
-    one = judged((cause, amount, 100))
-    assert set(one.named) == RIGHT[cause]
+def test_creep_of_the_second_muscle_is_named_and_its_values_are_printed_and_right():
+    one = judged(("creep", 0.04, 100))
+    assert set(one.named) == {"creep"}
     assert one.withheld == 0
     assert share(one.values) >= COVERED
     assert one.worst <= FAR

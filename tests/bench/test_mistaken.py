@@ -5,10 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from pmabench.base.errors import InvalidFile
-from pmabench.bench.compilation import _of_other_units
 from pmabench.bench.compile import mount
-from pmabench.files.document import read_document
 
 FIXTURES = Path(__file__).resolve().parents[2] / "fixtures"
 SPECIMEN = FIXTURES / "specimens" / "mas-20-250-paper0.yaml"
@@ -50,42 +47,3 @@ def test_a_range_of_500_N_over_another_calibration(tmp_path, points, says):
     (tmp_path / "bench.yaml").write_text(text)
     found = mount(tmp_path / "bench.yaml", SPECIMEN).doubts
     assert [says in line and "bench.yaml:38:" in line for line in found] == ([True] if says else [])
-
-
-# -- units, where the file does not get that far --------------------------------------------------------------------
-
-LACKING = """schema: pmabench.bench/1
-name: x
-channels:
-  pressure: {device: a, input: p, range: [0 mm, 1000 kPa], calibration: P}
-  force: {device: a, input: f, range: [0 V, 10 V], calibration: F}
-  displacement: {device: a, input: x, range: [0 mm, 90 kg], unit: kg}
-outputs:
-  pressure: {device: a, output: p, scale: [[0 V, 0 kPa], [10 V, 600 N]], resolution: 1 mV}
-limits:
-  pressure: {command: 900 bananas, trip: 650 kPa}
-  contraction: {trip: 28 %}
-"""
-
-
-def problems_of(text, tmp_path):
-    (tmp_path / "bench.yaml").write_text(text)
-    with pytest.raises(InvalidFile) as refused:
-        mount(tmp_path / "bench.yaml", SPECIMEN)
-    return {(problem.line, problem.column): problem.message for problem in refused.value.problems}
-
-
-def test_wrong_units_are_said_together_with_sections_that_are_missing(tmp_path):
-    found = problems_of(LACKING, tmp_path)
-    units = {place: text for place, text in found.items() if place != (1, 1)}
-    assert units == {
-        (4, 43): '"mm" is no unit of pressure, for instance "300 kPa"',
-        (8, 65): '"N" is no unit of pressure, for instance "300 kPa"',
-        (10, 23): 'unknown unit "bananas", for instance "300 kPa"',
-    }
-    assert found[1, 1].endswith("is missing")
-
-
-@pytest.mark.parametrize("path", sorted((FIXTURES / "benches").glob("*.yaml")), ids=lambda path: path.stem)
-def test_no_unit_of_a_shipped_bench_is_taken_for_a_wrong_one(path):
-    assert list(_of_other_units(read_document(path))) == []

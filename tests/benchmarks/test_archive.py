@@ -17,7 +17,7 @@ import pytest
 
 from pmabench.analysis.many import Processes
 from pmabench.kinds.recorded_step.motion import fit_motion, from_rest
-from pmabench.kinds.recorded_step.ringing import possible_motions
+from pmabench.kinds.recorded_step.reduction import possible_motions
 from pmabench.kinds.recorded_step.step import SHIFTS
 from pmabench.report.many import process_many, write_table
 from pmabench.store.catalogue import tasks_below

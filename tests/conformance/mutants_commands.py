@@ -200,6 +200,24 @@ class ReadBackFromMemory:
         return (self.wanted or {}).get(output, asked)
 
 
+@fault("SetPoint", "from outside", "memory")
+class ReadBackKeptToTheNextCommand:
+    """It asks once after each command, and gives that answer from then on."""
+
+    kept = None
+
+    def write(self, output, value):
+        super().write(output, value)
+        self.kept = {}
+
+    def read_back(self, output):
+        if self.kept is None:
+            return super().read_back(output)
+        if output not in self.kept:
+            self.kept[output] = super().read_back(output)
+        return self.kept[output]
+
+
 @fault("SetPoint", "silence", "as if all were well")
 class ReadBackFromMemoryInSilence:
     """It gives what it read last where nothing answers."""
@@ -301,6 +319,24 @@ class IsOnFromMemory:
     def is_on(self, output):
         asked = super().is_on(output)
         return (self.wanted or {}).get(output, asked)
+
+
+@fault("Switch", "from outside", "memory")
+class IsOnKeptToTheNextCommand:
+    """It asks once after each command, and gives that answer from then on."""
+
+    kept = None
+
+    def switch(self, output, *, on):
+        super().switch(output, on=on)
+        self.kept = {}
+
+    def is_on(self, output):
+        if self.kept is None:
+            return super().is_on(output)
+        if output not in self.kept:
+            self.kept[output] = super().is_on(output)
+        return self.kept[output]
 
 
 @fault("Switch", "valves", "is_on() gives 1")

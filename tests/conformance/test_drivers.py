@@ -6,7 +6,7 @@ PART=hostile` try all.
 
 import pytest
 
-from pmabench.bench.registry import drivers
+from pmabench.bench.driver_options import drivers
 from pmabench.conformance import FAILED, run, subject
 from pmabench.conformance.suite import CHECKS
 from tests.conformance.mutants import shipped

@@ -1,10 +1,12 @@
 """Numbers of one isobaric ramp against a closed form: F = F_ce - K x - B x', and a hysteresis of 12 N."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from pmabench.analysis.trial import Expected, Quick
-from pmabench.display.verdicts import measure
+from pmabench.display.verdicts import _not_reached, measure
 from pmabench.store.records import Command, RunData, TrialData
 
 EXPECTED = Expected(
@@ -52,6 +54,14 @@ def test_what_is_wrong_with_a_ramp_is_said():
     assert any(
         "upper one" in doubt for doubt in reported(type(upside_down)(**{**vars(upside_down), "channels": channels}))[1]
     )
+
+
+@pytest.mark.parametrize(("share", "said"), [(1.06, ["318 kPa of 300 kPa (held)"]), (1.005, [])])
+def test_a_pressure_that_was_set_before_the_trial_is_held_against_its_command(share, said):
+    """A regulator that gave 6 % more was "ok" in every trial's line."""
+    trial = ramp()
+    trial = replace(trial, channels={**trial.channels, "pressure": share * trial.channels["pressure"]})
+    assert [text.partition(": ")[2] for text in _not_reached(trial)] == said
 
 
 def test_a_step_of_displacement_gives_stiffness_and_what_the_peak_is_beyond():

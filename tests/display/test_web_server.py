@@ -380,7 +380,7 @@ while feed.poll():
     pass
 prepare("contraction-relaxation")
 print(feed.state.rows, len(feed.state.lines))
-print(*sorted({name.partition(".")[0] for name in sys.modules} & {"pandas", "scipy", "matplotlib", "pint"}))
+print(*sorted({name.partition(".")[0] for name in sys.modules} & {"pandas", "scipy", "pint"}))
 """
 
 

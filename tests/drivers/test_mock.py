@@ -1,6 +1,7 @@
 """The mock bench through the driver interface: what it samples, when, in which units, and what it refuses."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -245,7 +246,7 @@ def test_the_actuator_has_limits_and_a_load_means_nothing_to_it():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"presset": "ideal"}, 'no option "presset"; did you mean "preset"'),
+        ({"presset": "ideal"}, 'unknown key "presset"; did you mean "preset"'),
         ({"preset": "idel"}, 'did you mean "ideal"'),
         ({"plant": 3}, "plant"),
         ({"seed": "one"}, "number"),
@@ -259,6 +260,16 @@ def test_options_are_checked_before_opening(options, message):
         MockBench(record(**options), VirtualClock())
 
 
+def test_all_mistakes_are_said_at_once_each_at_its_place():
+    wrong = record(seed="one", presset="ideal", faults={"burst": 1, "nan_at": "soon"}, errors={"force": {"end": "top"}})
+    wrong = replace(wrong, channels=(replace(wrong.channels[0], input="presure"),))
+    places = {".".join(place) for place, _ in MockBench.check(wrong)}
+    assert places == {
+        *("options.seed", "options.presset", "options.faults.burst", "options.faults.nan_at"),
+        *("options.errors.force.end", "channels.pressure.input"),
+    }
+
+
 @pytest.mark.parametrize("options", [{"regulator_lag": -1.0}, {"b_relax": "b_other"}, {"dead_band": 5.0}])
 def test_values_that_cannot_be_are_refused_when_opened(options):
     with pytest.raises(DeviceError, match="plant: "):
@@ -267,7 +278,9 @@ def test_values_that_cannot_be_are_refused_when_opened(options):
 
 def test_an_unknown_input_is_refused_with_the_nearest_one():
     channel = ChannelRecord("pressure", "pressure", "plant", "presure", "float64", "Pa", Scale(), 0, 1)
-    with pytest.raises(DeviceError, match=r'plant\.pressure: no input "presure"; did you mean "pressure"'):
+    with pytest.raises(
+        DeviceError, match=r'plant: channels\.pressure\.input: no input "presure"; did you mean "pressure"'
+    ):
         MockBench(DeviceRecord("plant", "", "", {}, (channel,)), VirtualClock()).open()
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from pmabench_drivers.mock.options import problems
+from pmabench_drivers.mock import MockBench
 
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import Load, ValveRecord
@@ -91,4 +91,4 @@ def test_an_option_that_it_has_no_use_for_is_refused_when_it_is_opened(option):
     with pytest.raises(DeviceError, match=f"{next(iter(option))} is (not )?for the"):
         Rig(record(plant="paper0-air", **option))
     given = {"plant": "paper0-air", "conductance_fill": 1e-7, "polytropic": 1.0, "natural_frequency": 3.0}
-    assert not list(problems(record(**given), given))
+    assert not MockBench.check(record(**given))

@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from pmabench_drivers.mock.options import read_options
+from pmabench_drivers.mock import MockBench
 
+from pmabench.base.clock import VirtualClock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import ValveRecord
 from tests.drivers.rig import Rig, record
@@ -77,7 +78,7 @@ def test_taken_back_in_time_it_gives_the_same_again():
 @pytest.mark.parametrize("free_end", [{}, {"free_end": "weights"}])
 def test_it_needs_a_driven_end(free_end):
     with pytest.raises(DeviceError, match="free_end: actuator"):
-        read_options("plant", {"plant": "daerden", **free_end})
+        MockBench(record(plant="daerden", **free_end), VirtualClock())
 
 
 @pytest.mark.parametrize(
@@ -107,5 +108,5 @@ def test_rubber_that_relaxes_is_of_a_driven_end():
 
 @pytest.mark.parametrize("plant", ["joint", "platform"])
 def test_a_joint_and_a_platform_have_none_of_them(plant):
-    with pytest.raises(DeviceError, match=f"option noise: the plant {plant} has no use for it"):
-        read_options("plant", {"plant": plant, "noise": 0.0})
+    with pytest.raises(DeviceError, match=f"options.noise: the plant {plant} has no use for it"):
+        MockBench(record(plant=plant, preset="bench", noise=0.0), VirtualClock())

@@ -165,11 +165,13 @@ def test_plugs_may_be_swapped():
     ("options", "message"),
     [
         ({"errors": {"presure": {}}}, 'no input "presure"; did you mean "pressure"'),
-        ({"errors": {"pressure": {"gain": 2}}}, 'no error "gain"'),
-        ({"errors": {"pressure": 2}}, "errors of pressure are given as"),
-        ({"errors": {"pressure": {"end": "top"}}}, "option end"),
+        ({"errors": {"pressure": {"gain": 2}}}, 'errors.pressure.gain: unknown key "gain"'),
+        ({"errors": {3: {}}}, 'no input "3"'),
+        ({"built": {3: 1.0}}, 'has nothing called "3"'),
+        ({"errors": {"pressure": 2}}, "errors.pressure: keys and values are expected here, not 2"),
+        ({"errors": {"pressure": {"end": "top"}}}, 'errors.pressure.end: "top" is not known here'),
         ({"faults": {"mute_at": 1.0}}, "mock-realtime"),
-        ({"clock_ppm": 50}, 'no option "clock_ppm"'),
+        ({"idle": 50}, 'unknown key "idle"'),
         ({"slow_vent": 0}, "slow_vent"),
     ],
 )

@@ -10,11 +10,12 @@ import threading
 import time
 from dataclasses import asdict, replace
 from pathlib import Path
+from unittest.mock import patch
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pmabench_drivers.mock.client import Inbox, Link, MockClient, encode, parse_address
+from pmabench_drivers.mock.client import Link, MockClient, decode, encode, parse_address
 
 from pmabench.base.clock import RealClock, VirtualClock
 from pmabench.base.errors import DeviceError
@@ -43,22 +44,46 @@ def failing(call):
 HEADS = st.dictionaries(st.text(max_size=3), st.integers(), max_size=2)
 
 
-@given(st.lists(st.tuples(HEADS, st.binary(max_size=20)), max_size=4), st.data())
-def test_messages_come_out_as_they_went_in_however_they_are_cut(messages, data):
-    messages = [({k: v for k, v in head.items() if k != "bytes"}, payload) for head, payload in messages]
-    stream = b"".join(encode(head, payload) for head, payload in messages)
-    inbox, found = Inbox(), []
+class Pieces:
+    """A socket from which bytes come in these pieces."""
+
+    def __init__(self, pieces):
+        self.pieces = list(pieces)
+
+    def recv(self, _most):
+        return self.pieces.pop(0) if self.pieces else b""
+
+    def sendall(self, _data):
+        pass
+
+    setsockopt = settimeout = lambda self, *_: None
+
+
+def answered(pieces):
+    with patch("socket.create_connection", return_value=Pieces(pieces)):
+        return Link("plant", ("127.0.0.1", 1), 1.0).ask("held", time.monotonic() + 60.0)
+
+
+@given(st.lists(st.tuples(HEADS, st.binary(max_size=20)), max_size=4), st.tuples(HEADS, st.binary()), st.data())
+def test_an_answer_comes_out_as_it_went_in_however_it_is_cut_and_whatever_came_before(older, newest, data):
+    kept = {k: v for k, v in newest[0].items() if k not in {"bytes", "n", "error"}}
+    other = [({k: v for k, v in head.items() if k != "bytes"} | {"n": 0}, payload) for head, payload in older]
+    stream = b"".join(encode(head, payload) for head, payload in [*other, (kept | {"n": 1}, newest[1])])
+    pieces = []
     while stream:
         cut = data.draw(st.integers(1, len(stream)))
-        found += [({k: v for k, v in head.items() if k != "bytes"}, body) for head, body in inbox.feed(stream[:cut])]
+        pieces.append(stream[:cut])
         stream = stream[cut:]
-    assert found == messages
+    head, payload = answered(pieces)
+    assert ({k: v for k, v in head.items() if k != "bytes"}, payload) == (kept | {"n": 1}, newest[1])
 
 
 @pytest.mark.parametrize("line", [b"\n", b"[1]\n", b"nonsense\n", b'{"bytes": -1}\n', b'{"bytes": "9"}\n', b"\xff\n"])
 def test_what_is_no_message_is_refused(line):
     with pytest.raises(ValueError):
-        list(Inbox().feed(line))
+        answered([line])
+    with pytest.raises(ValueError):
+        decode(line)
 
 
 @pytest.mark.parametrize("address", ["", "47807", "127.0.0.1:", "127.0.0.1:x", "192.168.0.5:47807", "127.0.0.1:0"])
@@ -86,9 +111,9 @@ def test_real_time_is_needed():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"start": 1}, "option start: true or false is expected, not 1"),
-        ({"idle": 0}, "option idle: a time above 0 s"),
-        ({"presset": "ideal"}, 'no option "presset"; did you mean "preset"'),
+        ({"start": 1}, "options.start: true or false is expected, not 1"),
+        ({"idle": 0}, "options.idle: a value above 0 is expected, not 0"),
+        ({"presset": "ideal"}, 'unknown key "presset"; did you mean "preset"'),
     ],
 )
 def test_options_are_checked_before_anything_is_opened(options, message):

@@ -28,6 +28,23 @@ def test_the_name_of_a_bench_becomes_a_folder_inside():
         assert folder.name not in {"", ".", ".."}
 
 
+def test_a_reset_is_noted_where_something_was_tripped_and_nowhere_else():
+    """A reset of a bench that was not tripped ended its session."""
+    from pmabench.cli.vent import _reset
+
+    station = Station("not tripped")
+    station.folder.mkdir(parents=True)
+    station.note("safe", why="end of the run")
+    before = station.read("state")
+    assert _reset(station, {}, "A", "to be sure") == ""
+    assert station.read("state") == before
+    station = Station("was tripped")
+    station.folder.mkdir()
+    station.note("tripped", why="the emergency stop")
+    assert "emergency stop" in _reset(station, {}, "A", "looked at")
+    assert (station.read("state")["why"], station.latched()) == ("reset", "")
+
+
 def test_armed_and_tripped_latch_and_safe_does_not():
     station = Station("x")
     station.folder.mkdir(parents=True)

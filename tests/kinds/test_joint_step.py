@@ -15,8 +15,9 @@ from pmabench.engine.laws.joint_loop import JointLoop
 from pmabench.engine.operator import ConfirmedBeforehand
 from pmabench.engine.run import run_plan
 from pmabench.kinds.compile import make_plan
-from pmabench.kinds.joint_step.reduction import courses, one_trial, reduce
+from pmabench.kinds.joint_step.reduction import courses, reduce
 from pmabench.kinds.joint_torque.reduction import reduce as reduce_torques
+from pmabench.kinds.reduce import of_one_trial
 from pmabench.model.many.joint import Joint, JointPlant
 from pmabench.model.regulator import constant
 from pmabench.store.analyses.folder import write_analysis
@@ -56,7 +57,7 @@ def test_with_integral_action_a_step_settles_within_a_second(tmp_path):
     assert found["e_th"].value == pytest.approx(0.0, abs=0.05 * DEG)
     assert found["OS_th"].value < 0.1 * DEG
     (trial,) = run.trials
-    shown, doubts = one_trial(run, trial, None, Quick())
+    shown, doubts = of_one_trial(run, trial, None, Quick())
     assert [one.value for one in shown] == [found["e_th"].value, found["t_s"].value]
     assert doubts == []
     analysis = reduce([run])

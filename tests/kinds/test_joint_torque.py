@@ -13,7 +13,8 @@ from pmabench.bench.compile import mount
 from pmabench.engine.operator import ConfirmedBeforehand
 from pmabench.engine.run import run_plan
 from pmabench.kinds.compile import make_plan
-from pmabench.kinds.joint_torque.reduction import maps, one_trial, reduce
+from pmabench.kinds.joint_torque.reduction import maps, reduce
+from pmabench.kinds.reduce import of_one_trial
 from pmabench.store.reader import open_run
 from tests.kinds import joint_plant
 from tests.kinds.joint_plant import Faults, force_by_pressure, stiffness, torque
@@ -114,8 +115,8 @@ def test_the_display_and_the_figure_show_the_map(whole, tmp_path):
     assert "6 of 9 are shown" in drawn.caption
     plan = compiled(("sweep.matrix.pressure_1", "[300 kPa]"), ("sweep.matrix.pressure_2", "[300 kPa]"))
     run = open_run(run_plan(plan, bench(), ConfirmedBeforehand(), out=tmp_path).folder)
-    found, doubts = one_trial(run, run.trials[0], None, Quick())
-    assert [round(one.value, 1) for one in found] == [15.5, 3.0]
+    found, doubts = of_one_trial(run, run.trials[0], None, Quick())
+    assert {one.symbol: round(one.value, 1) for one in found} == {"H_tau": 3.0, "tau": 0.0, "K_th": 15.5}
     assert doubts == []
 
 

@@ -53,7 +53,9 @@ def targets(kind):
 def test_a_record_names_parts_that_are_there_and_none_of_another_kind(folder):
     for kind in kinds_of(folder):
         for field, target in targets(kind):
-            assert target.startswith((f"pmabench.kinds.{folder.name}.", "pmabench.plotting.", "pmabench.analysis.")), (
+            assert target.startswith(
+                (f"pmabench.kinds.{folder.name}.", "pmabench.kinds.reduce:", "pmabench.plotting.", "pmabench.analysis.")
+            ), (
                 field,
                 target,
             )

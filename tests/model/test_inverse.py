@@ -55,9 +55,9 @@ def test_what_it_gives_takes_the_load_along_the_path():
 
 
 def test_a_pressure_that_is_not_there_is_the_nearest_end():
-    assert rising_root(lambda P: P - 700e3, *ENDS, first=0.0) == 600e3
-    assert rising_root(lambda P: P + 1.0, *ENDS, first=300e3) == 0.0
-    assert rising_root(lambda P: P - 123456.0, *ENDS, first=0.0) == pytest.approx(123456.0, abs=1.0)
+    assert rising_root(lambda P: P - 700e3, *ENDS) == 600e3
+    assert rising_root(lambda P: P + 1.0, *ENDS) == 0.0
+    assert rising_root(lambda P: P - 123456.0, *ENDS) == pytest.approx(123456.0, abs=1.0)
 
 
 def test_a_led_command_makes_the_pressure_behind_dead_time_and_lag():

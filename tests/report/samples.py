@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pmabench.kinds.reduce import results_of
+from pmabench.kinds.registry import kind_of
 from pmabench.report.document.content import content_of, page_of
 from pmabench.store.analyses.results import Analysis, Curve, Dropped, Estimate, Finding, Parts, Trace
 from pmabench.store.records import ChannelInfo, Event, RunData, TrialData
@@ -90,7 +90,7 @@ def contraction(simulated: bool = True) -> Analysis:
         ),
         traces=tuple(traces),
         facts={"trials": 80, "trials_used": 46, "options": {}},
-        results=results_of("contraction-relaxation"),
+        results=kind_of("contraction-relaxation").results,
     )
 
 
@@ -132,7 +132,7 @@ def static_load(simulated: bool = True) -> Analysis:
         (line,),
         traces=(points, lift),
         facts={"trials": 12},
-        results=results_of("static-load"),
+        results=kind_of("static-load").results,
     )
 
 
@@ -180,7 +180,7 @@ def sine(simulated: bool = True) -> Analysis:
         tuple(estimates),
         traces=tuple(traces),
         facts={"trials": 12},
-        results=results_of("sinusoidal-displacement"),
+        results=kind_of("sinusoidal-displacement").results,
     )
 
 
@@ -205,7 +205,6 @@ def ultimate_gain(simulated: bool = True) -> Analysis:
                     "source": "Ziegler and Nichols 1942",
                     "gains": {key: e.to_dict() for key, e in gains.items()},
                     "margins": {"gain_margin": 2.0, "phase_margin": 0.59, "M_s": None, "stable": True},
-                    "overshoot": 0.51,
                 }
             )
         t = np.linspace(0, 4, 500)
@@ -240,7 +239,7 @@ def ultimate_gain(simulated: bool = True) -> Analysis:
         findings=findings,
         traces=tuple(traces),
         facts={"trials": 9, "tuning": settings},
-        results=results_of("ultimate-gain"),
+        results=kind_of("ultimate-gain").results,
     )
 
 

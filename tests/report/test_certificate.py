@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pmabench.plotting import chart, plots
+from pmabench.plotting import chart, looks
 from pmabench.plotting.chart import Chart, Series
 from pmabench.report.certificate import quality
 from pmabench.report.certificate.force_chart import READABLE, blue
@@ -69,13 +69,13 @@ def test_the_measures_of_colour_are_right():
     assert lab("#ff0000", "normal") == pytest.approx([53.24, 80.09, 67.20], abs=0.1)
 
 
-@pytest.mark.parametrize("pair", list(itertools.combinations(plots.PALETTE, 2)))
+@pytest.mark.parametrize("pair", list(itertools.combinations(looks.PALETTE, 2)))
 def test_two_series_are_distinguished_by_everybody(pair):
     for sight in SIGHT:
         assert math.dist(*(lab(color, sight) for color in pair)) >= 30
 
 
-@pytest.mark.parametrize("color", [*plots.PALETTE])
+@pytest.mark.parametrize("color", [*looks.PALETTE])
 def test_series_are_seen_on_paper(color):
     assert contrast(color) >= 2.99
 
@@ -180,7 +180,7 @@ def test_no_part_of_the_page_contradicts_the_verdict(analyses, word):
         assert first.count("withheld") >= 3
         assert "Withheld: K at 200 kPa and K at 250 kPa" in first, "figure and table withhold the same"
         drawn = json.loads(re.search(r'id="charts">(.*?)</script>', text, re.DOTALL)[1].replace("\\u003c", "<"))
-        dots = [s for c in drawn[0]["charts"] for s in c["series"] if s["said"] == "K" and s["dots"]]
+        dots = [s for c in drawn[0]["charts"] for s in c["series"] if s.get("said") == "K" and s.get("mark")]
         assert {200.0, 250.0}.isdisjoint(dots[0]["x"])
     elif word != "No result":
         assert "Not accepted" not in page.text
@@ -191,14 +191,14 @@ def test_no_part_of_the_page_contradicts_the_verdict(analyses, word):
 
 def test_the_charts_show_the_values_of_the_table(content, page_text):
     data = json.loads(re.search(r'id="charts">(.*?)</script>', page_text, re.DOTALL)[1])
-    assert [entry["n"] for entry in data] == [item.n for item in content.front if item.picture.charts]
+    assert [entry["n"] for entry in data] == [item.n for item in content.figures if item.picture.charts]
     panel = data[0]["charts"][1]
-    dots = next(s for s in panel["series"] if s["dots"] and not s["method"])
+    dots = next(s for s in panel["series"] if s.get("mark") and not s.get("method"))
     at = dots["x"].index(400.0)
     assert (dots["y"][at], dots["half"][at]) == (7.552, 0.021)
-    methods = {s["method"] for c in data[0]["charts"] for s in c["series"]}
+    methods = {s.get("method") for c in data[0]["charts"] for s in c["series"]}
     assert {"step-exponential", "static-mean"} <= methods, "other methods are there for the buttons"
-    assert page_text.count('class="chart"') == sum(len(entry["charts"]) for entry in data)
+    assert page_text.count('class="still"') == len(content.figures)
 
 
 def test_the_page_runs_its_own_scripts_only(page_text):
@@ -290,13 +290,15 @@ def test_ticks_have_the_decimals_of_their_step(value, step, text):
 def test_names_at_curves_do_not_lie_on_each_other():
     x = np.linspace(0, 1, 20)
     lines = tuple(Series(f"name {n}", x, x + 0.001 * n, "#0b5394") for n in range(6))
-    drawn = chart.to_svg(Chart("x", "y", lines, 300, 150, "six lines"))
+    drawn = chart.joined([[Chart("x", "y", lines, 300, 150)]], "six lines")
     places = sorted(float(y) for y in re.findall(r'y="([\d.]+)"[^>]*>name \d', drawn))
     assert len(places) == 6
     assert min(np.diff(places)) >= chart.NAME
 
 
 def test_a_chart_has_no_style_and_says_what_it_shows():
-    drawn = chart.to_svg(Chart("x", "y", (Series("a", np.arange(3.0), np.arange(3.0), "#0b5394"),), 300, 150, "a line"))
+    drawn = chart.joined(
+        [[Chart("x", "y", (Series("a", np.arange(3.0), np.arange(3.0), "#0b5394"),), 300, 150)]], "a line"
+    )
     assert " style=" not in drawn
     assert re.search(r'role="img" aria-labelledby="(c\w+)"><desc id="\1">a line</desc>', drawn)

@@ -1,4 +1,4 @@
-"""What a report says beside its numbers: the verdict, deviations, the checklist, parents, and words to paste."""
+"""What a report says beside its numbers: the verdict, deviations, the checklist, and parents."""
 
 import re
 from dataclasses import replace
@@ -10,7 +10,6 @@ from pmabench.plotting import pictures
 from pmabench.report import coefficient_figures
 from pmabench.report.document.content import content_of
 from pmabench.report.document.deviations import Issuer, deviations
-from pmabench.report.document.provenance import methods_paragraph
 from pmabench.report.document.special_tables import budget_table, change_rows
 from pmabench.report.document.tables import trial_ranges
 from pmabench.report.foremost import verdict_of
@@ -111,25 +110,6 @@ def test_every_value_leads_to_its_trials():
     assert {row[column].text[:11] for _, rows in parts.groups for row in rows} == {"R1: 1, 3, 5"}
 
 
-def test_the_methods_paragraph_names_specimen_points_and_primary_methods():
-    reported = methods_paragraph(samples.all_analyses(), samples.all_runs())
-    for words in ("Festo MAS-20-250N-AA-MC-K", "measured-pressure", "static-mean", "simulated", "95 % intervals"):
-        assert words in reported
-    assert "step-exponential" not in reported
-    assert "simulated" not in methods_paragraph(samples.all_analyses(False), samples.all_runs(False)).replace(
-        "SIMULATED", ""
-    )
-
-
-def test_the_citation_is_the_same_for_the_same_report():
-    one = content_of([samples.static_load()], samples.all_runs(), title="K & B of 100 % {x}")
-    again = content_of([samples.static_load()], samples.all_runs()[::-1], title="K & B of 100 % {x}")
-    assert one.cite == again.cite
-    assert one.report_id in one.cite[0]
-    assert r"title = {K \& B of 100 \% \{x\}}" in one.cite[1]
-    assert "simulated" in one.cite[1]
-
-
 def test_budgets_show_shares_and_what_was_not_assessed():
     sources = (
         Source("calibration of pressure", "calibration", "B", 4.0),
@@ -177,9 +157,9 @@ def test_each_further_method_lies_aside_by_its_place_and_published_values_are_ne
     monkeypatch.setattr(coefficient_figures, "of_charts", kept)
     (picture,) = coefficient_figures.over_pressure([mine, theirs], {}, ("m0", "m1"))
     (chart,) = drawn
-    first = [float(s.x[0]) for s in chart.series if not s.cross]
+    first = [float(s.x[0]) for s in chart.series if s.mark == "o"]
     assert first == pytest.approx([100.0 + 200.0 * coefficient_figures.ASIDE * n for n in range(8)])
-    assert [(s.cross, float(s.x[0])) for s in chart.series][8:] == [(True, 100.0)]
+    assert [(s.mark, float(s.x[0])) for s in chart.series][8:] == [("x", 100.0)]
     assert "Crosses: Serres 2009" in picture.caption
 
 
@@ -206,9 +186,8 @@ def test_a_test_of_a_new_kind_has_its_figures_on_the_first_page():
 def test_only_what_is_shown_is_drawn(monkeypatch):
     """A report looks through many figures for its first pages; drawing is most of what it costs."""
     drawn = []
-    for name in ("to_svg", "joined"):
-        draw = getattr(pictures, name)
-        monkeypatch.setattr(pictures, name, lambda figure, alt, draw=draw: drawn.append(alt) or draw(figure, alt))
+    draw = pictures.joined
+    monkeypatch.setattr(pictures, "joined", lambda rows, alt: drawn.append(alt) or draw(rows, alt))
     content = content_of(samples.all_analyses(), samples.all_runs())
     shown = [*content.front, *(item for section in content.sections for item in section.figures)]
     assert len(drawn) == len(shown) > 8

@@ -84,6 +84,17 @@ def test_the_pdf_says_what_the_page_says(content, pdf):
     assert len(pdf) < 1_000_000
 
 
+def test_the_fonts_of_the_pdf_come_with_the_package_and_the_program(pdf):
+    """Not from the machine, which has others; what no font has is a box."""
+    fonts = {
+        str(font.get_object()["/BaseFont"]).partition("+")[2].partition("-")[0]
+        for page in pypdf.PdfReader(io.BytesIO(pdf)).pages
+        for font in page["/Resources"]["/Font"].values()
+    }
+    assert {"Inter", "UnknownSign"} <= fonts
+    assert fonts <= {"Inter", "UnknownSign", "DejaVuSansMono", "LibertinusSerif", "NewCM10", "NewCMMath"}
+
+
 def test_appendices_have_the_names_of_the_page(content, pdf):
     page = page_of(content)
     named = re.findall(r"<summary id=.*?><b>(\w)</b> ([^<\n]*\w)", page)

@@ -20,8 +20,7 @@ from pmabench.report.document.content import content_of, page_of
 from pmabench.report.document.deviations import Issuer
 from pmabench.report.document.pdf import pdf_bytes
 from pmabench.report.document.workbook import workbook_bytes
-from pmabench.report.files import latex
-from pmabench.report.files.export import export_results
+from pmabench.report.files.export import escaped, export_results
 from pmabench.report.files.simulator_models import control_model, control_text
 from pmabench.report.foremost import print_coefficients
 from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
@@ -194,7 +193,7 @@ def test_nothing_acts_in_latex(tmp_path):
         (word, name) for word in ("begin", "end") for name in ("table", "tabular")
     }
     for payload in PAYLOADS:
-        reported = latex.escaped(payload)
+        reported = escaped(payload)
         assert set(re.findall(r"\\([A-Za-z]+)", reported)) <= COMMANDS - {
             "begin",
             "end",

@@ -145,8 +145,9 @@ def test_every_head_is_above_its_column(browser, pages, width):
 
 def test_curves_are_drawn_anew_with_values_zoom_and_methods(browser, pages):
     page = browser.open(pages("all four tests"), width=1100, height=900)
-    page.wait("document.querySelectorAll('.live canvas').length === document.querySelectorAll('.chart').length")
-    assert page.run("getComputedStyle(document.querySelector('.chart > svg')).display") == "none"
+    shown = "document.querySelectorAll('.sheet .still').length"
+    page.wait(f"document.querySelectorAll('.sheet .drawn').length === {shown} && {shown} > 0")
+    assert page.run("getComputedStyle(document.querySelector('.still')).display") == "none"
     x, y = page.centre("#figure-1 .chart:nth-child(2) .u-over")
     page.mouse("mouseMoved", x, y)
     page.wait("document.querySelector('#figure-1 .values b') !== null")
@@ -167,6 +168,9 @@ def test_curves_are_drawn_anew_with_values_zoom_and_methods(browser, pages):
     page.wait("document.querySelector('#figure-1 .controls button').hidden")
     page.click("#figure-1 .controls button:nth-of-type(2)")
     page.wait("document.querySelector('#figure-1 .controls [aria-pressed=true]') !== null")
+    assert page.run("document.querySelectorAll('.appendix .live').length") == 0
+    page.run("document.querySelectorAll('.appendix').forEach(part => part.open = true)")
+    page.wait("document.querySelectorAll('.drawn').length === document.querySelectorAll('.still').length")
     assert page.problems == []
     page.close()
 
@@ -176,8 +180,8 @@ def test_without_scripts_every_chart_is_a_picture(browser, pages):
     page.send("Emulation.setScriptExecutionDisabled", value=True)
     page.go(pages("all four tests"))
     page.send("Emulation.setScriptExecutionDisabled", value=False)
-    seen = page.run("[...document.querySelectorAll('.chart > svg')].map(e => e.getBoundingClientRect().height)")
-    assert len(seen) >= 4
+    seen = page.run("[...document.querySelectorAll('.sheet .still > svg')].map(e => e.getBoundingClientRect().height)")
+    assert len(seen) >= 3
     assert min(seen) > 60
     assert page.run("document.querySelectorAll('canvas, button').length") == 0
     page.close()

@@ -60,21 +60,6 @@ def test_a_table_that_fits_is_left_alone():
     assert narrow(whole) == [whole]
 
 
-def test_rows_at_points_of_another_kind_stand_apart():
-    """Sines have an amplitude, the rest has not."""
-    heads = [f"c{n} [N]" for n in range(8)]
-    rows = [
-        {"P [kPa]": str(P), "amplitude [mm]": ""} | {head: f"{head} {P} ± 1" for head in heads[:5]} for P in (100, 200)
-    ]
-    rows += [
-        {"P [kPa]": "200", "amplitude [mm]": a} | {head: f"{head} {a} ± 1" for head in heads[5:]} for a in ("2", "5")
-    ]
-    rest, sines = narrow(Table("", Frame(rows)))
-    assert list(rest.frame.columns) == ["P [kPa]", *heads[:5]]
-    assert list(sines.frame.columns) == ["P [kPa]", "amplitude [mm]", *heads[5:]]
-    assert len(rest.frame) == len(sines.frame) == 2
-
-
 def test_plain_numbers_take_less_room():
     """Nine columns without intervals stand side by side, twelve do not."""
     rows = [{"P [kPa]": "100"} | {f"c{n} [s]": "1.5" for n in range(12)}]

@@ -10,8 +10,18 @@ from pmabench.base.errors import InvalidFile, RecordError, UsageError, VerdictFa
 from pmabench.bench.channels import read_calibration
 from pmabench.bench.interface import Scale
 from pmabench.engine.operator import ConfirmedBeforehand, Nobody
-from pmabench.session.calibration import Request, calibrate, not_followed, not_shown, uncovered
-from pmabench.session.calibration_file import DOWN, UP, Point, fit, write_calibration
+from pmabench.session.calibration import (
+    DOWN,
+    UP,
+    Point,
+    Request,
+    calibrate,
+    fit,
+    not_followed,
+    not_shown,
+    uncovered,
+    write_calibration,
+)
 from pmabench.store.reader import open_run
 from tests.engine.benches import mounted
 
@@ -119,6 +129,25 @@ def test_two_points_do_not_say_that_a_sensor_is_straight(tmp_path):
     three = fit(sensor((0.0, 250.0, 500.0), 2, 0.05, 0, bow), 0.1)
     off = [abs(three.scale.to_si(v + bow(v)) - v) for v in np.linspace(0, 500, 101)]
     assert max(off) < three.expanded < 1.3 * max(off)
+
+
+@pytest.mark.parametrize(
+    ("reads", "said"),
+    [
+        (lambda nominal: nominal, []),
+        (lambda nominal: nominal and nominal + 10.8, ["by the calibration in use", "off the line"]),
+        (lambda nominal: nominal * 1.06, ["by the calibration in use"]),
+        (lambda nominal: nominal + 49.05 * (nominal == FORCE[3]), ["by the calibration in use", "off the line"]),
+    ],
+    ids=["right", "a hanger that was forgotten", "marks in another unit", "a plate too many at one point"],
+)
+def test_a_reference_that_is_not_what_was_entered_is_said(reads, said):
+    """The new line was compared with nothing: 10.8 N off within 0.107 N."""
+    request = replace(CASES["force"][1], points=FORCE)
+    made = mounted("mock", seed=1)
+    done = calibrate(made, request, ConfirmedBeforehand(), lambda _text, nominal, _wait: reads(nominal), None)
+    assert len(done.warnings) == len(said)
+    assert all(words in text for words, text in zip(said, done.warnings, strict=True))
 
 
 @pytest.mark.parametrize("error", ["of each weight", "of one share"])

@@ -11,7 +11,7 @@ from pmabench.bench.compile import mount
 from pmabench.engine.operator import ConfirmedBeforehand
 from pmabench.session import ensure
 from pmabench.session.self_test import run_self_test
-from pmabench.session.session import SessionFailed, session_length
+from pmabench.session.session import SessionFailed
 from pmabench.store.reader import open_run
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -92,16 +92,6 @@ def test_a_driven_joint_is_judged_by_its_torque(tmp_path):
     assert outcome.exit_code == 0, outcome.why
     (pulls,) = [check for check in tables[-1] if check.name == "muscle 1 pulls"]
     assert float(pulls.value.split()[4]) == pytest.approx(0.96, abs=0.03)
-
-
-def test_the_length_that_is_announced_is_that_of_the_session(tmp_path):
-    made = joint()
-    length = session_length(made)
-    assert length.hands == 0
-    outcome = run_self_test(made, ConfirmedBeforehand(), None, report=lambda _checks: None)
-    assert outcome.exit_code == 0
-    warm_up, zeros = 20.0, 2.0
-    assert length.shortest - warm_up - zeros == pytest.approx(outcome.bench_seconds, abs=3.0)
 
 
 def test_a_platform_has_no_session(tmp_path):

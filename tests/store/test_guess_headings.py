@@ -40,13 +40,13 @@ def file(folder, columns, below=()):
 
 def asked(path):
     """Key -> question of the guessed map of one file."""
-    questions = questions_of(Document("map.yaml", map_text(guess_files([path]), {})))
+    questions = questions_of(Document("map.yaml", map_text(guess_files([path]))))
     return {question.what: question for question in questions}
 
 
 def imported(path, **answers):
     """Channels and times of the run that the guessed map makes, by the answers to its questions."""
-    (path.parent / "map.yaml").write_text(map_text(guess_files([path]), {}), encoding="utf-8")
+    (path.parent / "map.yaml").write_text(map_text(guess_files([path])), encoding="utf-8")
     given = [(key, value) for key in asked(path) for part, value in answers.items() if key.endswith(part)]
     (run,) = import_files([path], path.parent / "map.yaml", path.parent / "runs", given)
     (trial,) = open_run(run.path).trials
@@ -162,7 +162,7 @@ def test_a_second_clock_that_is_later_in_each_row_is_a_question(tmp_path):
     question = asked(path)["columns.t_P [s].is"]
     assert '"t_x [ms]" is 20 ms later than "t_P [s]" in each row' in question.question
     assert "the later one is the time" in question.question
-    text = map_text(guess_files([path]), {})
+    text = map_text(guess_files([path]))
     for old, new in (
         ('"t_P [s]": {is: "?? time", unit: s}', '"t_P [s]": ignore'),
         ('"t_x [ms]": ignore', '"t_x [ms]": {is: time, unit: ms}'),

@@ -20,7 +20,6 @@ from pmabench.files.document import read_document
 from pmabench.store import spikes
 from pmabench.store.importers import apart
 from pmabench.store.importers.apart import CPU
-from pmabench.store.importers.guess import guess as guessing
 from pmabench.store.importers.guess.write import map_text
 from pmabench.store.importers.prepare import prepare
 from tests.importing import guess_files, read_map
@@ -168,16 +167,15 @@ def test_the_seconds_and_bytes_of_a_reader_are_limited_by_the_system():
 
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize("name", ["text", "lvm", "tdms", "mat73"])
-def test_a_damaged_file_is_guessed_or_refused_and_its_map_is_yaml(tmp_path, name, monkeypatch, record_property):
+def test_a_damaged_file_is_guessed_or_refused_and_its_map_is_yaml(tmp_path, name, record_property):
     count = min(cases(10), 1000)
     content = SOURCES[name][0].read_bytes()
     path = tmp_path / SOURCES[name][0].name
-    monkeypatch.setattr(guessing, "_known", lambda path, kinds: "")
     rng = random.Random(f"guess {name}")
     for _ in range(count):
         path.write_bytes(mutated(content, rng))
         try:
-            text = map_text(guess_files([path]), {})
+            text = map_text(guess_files([path]))
         except InvalidFile as refused:
             assert refused.problems
             continue

@@ -15,7 +15,7 @@ from pmabench.store.importers import apart
 from pmabench.store.importers.guess.columns import unit_in
 from pmabench.store.importers.guess.layout import guess_layout
 from pmabench.store.importers.guess.signs import sine_of
-from pmabench.store.importers.guess.write import Span, map_text, still_open
+from pmabench.store.importers.guess.write import map_text, still_open
 from pmabench.store.importers.map_file import dotted, left_open
 from pmabench.store.reader import open_run
 from tests.importing import guess_files, import_files, read_map
@@ -31,11 +31,10 @@ POLLED = {
     "V_dist_(mA)": ("displacement", "mA"),
     "LC_(grams)": ("force", "g"),
 }
-SPANS = {
-    "pressure": Span(0.0, 12.0, "bar"),
-    "supply": Span(0.0, 12.0, "bar"),
-    "pressure_command": Span(0.0, 6.0, "bar"),
-    "displacement": Span(0.0, 101.6, "mm"),
+ENDS = {
+    "columns.Piezo_P_(mA).points.1.1": "12 bar",
+    "columns.Piezo_out_(mV).points.1.1": "6 bar",
+    "columns.V_dist_(mA).points.1.1": "101.6 mm",
 }
 
 
@@ -60,9 +59,9 @@ def imported(files, path, out):
     return import_files(files, path, out, answers, unresolved=True)
 
 
-def written(tmp_path, guess, spans=None):
+def written(tmp_path, guess):
     path = tmp_path / "guessed.yaml"
-    path.write_text(map_text(guess, spans or {}), encoding="utf-8")
+    path.write_text(map_text(guess), encoding="utf-8")
     return path
 
 
@@ -120,19 +119,13 @@ def test_files_of_currents_are_reported_by_their_header(tmp_path, pattern, kind)
     with pytest.raises(InvalidFile) as caught:
         read_map(open_map)
     assert {problem.line for problem in caught.value.problems} <= set(still_open(open_map.read_text(encoding="utf-8")))
-    rules = read_map(written(tmp_path, guess, SPANS))
+    rules = read_map(open_map, list(ENDS.items()))
     pressure, displacement = rules.column("pressure"), rules.column("displacement")
     assert pressure.slope * 12 + pressure.offset == pytest.approx(6e5)
     assert displacement.slope == pytest.approx(-0.1016 / 16)
-    runs = import_files(files, tmp_path / "guessed.yaml", tmp_path / "runs")
+    runs = import_files(files, open_map, tmp_path / "runs", list(ENDS.items()))
     assert all(run.trials for run in runs)
     assert open_run(runs[0].path).manifest["started_utc"].startswith("2026-01-05T10:")
-
-
-def test_the_shipped_map_that_fits_is_named():
-    (step, _) = sorted((OLD / "polled").glob("*step_exp/*_data.dat"))
-    assert guess_files([step]).known == "mit-2-151-step"
-    assert not guess_files([OLD / "foreign" / "one.lvm"]).known
 
 
 @pytest.mark.parametrize("name", ["one.lvm", "comma.lvm", "segments.lvm", "bench.tdms"])
@@ -141,8 +134,10 @@ def test_formats_that_name_their_channels_and_units(tmp_path, name):
     reported = {role: unit for role, unit in roles(guess).values() if role != "ignore"}
     assert reported == {"time": "s", "pressure": "mA", "force": "N", "displacement": "mm", "pressure_command": "bar"}
     assert guess.kind == "recorded-step"
-    path = written(tmp_path, guess, {"pressure": Span(0.0, 8.0, "bar")})
-    (run,) = import_files([OLD / "foreign" / name], path, tmp_path / "runs")
+    path = written(tmp_path, guess)
+    answers = [(key, "8 bar") for key in asked(path)]
+    assert len(answers) == 1
+    (run,) = import_files([OLD / "foreign" / name], path, tmp_path / "runs", answers)
     trials = open_run(run.path).trials
     assert [trial.commands[0].t for trial in trials] == pytest.approx([1.5, 3.5])
     assert run.flagged["dropout"] == 2
@@ -209,7 +204,7 @@ def test_numbers_in_quotation_marks_are_those_numbers(tmp_path):
     for name, content in files.items():
         (tmp_path / name).write_text(content, encoding="utf-8")
         path = tmp_path / f"{name}.yaml"
-        path.write_text(map_text(guess_files([tmp_path / name]), {}), encoding="utf-8")
+        path.write_text(map_text(guess_files([tmp_path / name])), encoding="utf-8")
         (run,) = imported([tmp_path / name], path, tmp_path / "runs")
         channels = open_run(run.path).trials[0].channels
         assert channels["pressure"] == pytest.approx([1.23e5, 1.25e5, 1.5e5])
@@ -350,7 +345,7 @@ def test_names_full_of_markup_stay_text_in_the_map(tmp_path):
     header = ",".join(["t_s", evil, "F_N"])
     (tmp_path / "old.csv").write_text(header + "\n0,1,2\n0.1,2,3\n", encoding="utf-8")
     guess = guess_files([tmp_path / "old.csv"])
-    text = map_text(guess, {})
+    text = map_text(guess)
     assert "\x1b" not in text
     reported = CliRunner().invoke(main, ["import", "--guess", str(tmp_path / "old.csv")]).output
     assert "\x1b" not in reported
@@ -378,18 +373,17 @@ def call(*args, code=0):
 
 def test_at_the_command_line(tmp_path):
     source = OLD / "foreign" / "one.lvm"
-    reported = call("import", "--guess", source, "--span", "pressure=0 bar..8 bar", "-o", tmp_path / "map.yaml")
+    reported = call("import", "--guess", source, "-o", tmp_path / "map.yaml")
     assert "because: the file says its unit, mA" in reported
-    assert "then: pmabench import" in reported
-    call("import", source, "--map", tmp_path / "map.yaml", "--out", tmp_path / "runs")
+    (key,) = asked(tmp_path / "map.yaml")
+    answer = ("--set", f"{key}=8 bar")
+    call("import", source, "--map", tmp_path / "map.yaml", "--out", tmp_path / "runs", *answer)
     assert len(list((tmp_path / "runs").iterdir())) == 1
     assert "is there already" in call("import", "--guess", source, "-o", tmp_path / "map.yaml", code=2)
     data = json.loads(call("import", "--guess", source, "--json"))
     assert data["open"]
     assert {column["is"] for column in data["columns"]} >= {"time", "pressure", "force"}
     assert "give --map to import, or --guess" in call("import", source, code=2)
-    assert "say CHANNEL=LOW..HIGH" in call("import", "--guess", source, "--span", "pressure=8 bar", code=2)
-    assert "is no unit of pressure" in call("import", "--guess", source, "--span", "pressure=0 N..8 N", code=2)
 
 
 def test_recorded_files_of_both_benches():
@@ -403,7 +397,6 @@ def test_recorded_files_of_both_benches():
         guess = guess_files([path])
         assert roles(guess) == POLLED, path
         assert guess.kind == kinds[next(key for key in kinds if path.name.startswith(key))]
-        assert guess.known == guess.kind.replace("recorded", "mit-2-151")
 
 
 def test_recorded_samples_of_other_formats():

@@ -39,7 +39,7 @@ def imported(tmp_path, content, *, unresolved=False):
     """All tests of a file by the map that is guessed for it."""
     path = tmp_path / "held_8mm.csv"
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
-    (tmp_path / "map.yaml").write_text(map_text(guess_files([path]), {}))
+    (tmp_path / "map.yaml").write_text(map_text(guess_files([path])))
     return prepare_all(path, read_map(tmp_path / "map.yaml", unresolved=unresolved))
 
 
@@ -241,7 +241,7 @@ def test_a_line_of_units_is_read_in_every_file(tmp_path):
     first, second = tmp_path / "a_8mm.csv", tmp_path / "b_8mm.csv"
     first.write_text(units.format("kPa") + rows(plain))
     second.write_text(units.format("psi") + rows(lambda t, p, f: plain(t, p / 6.894757, f)))
-    text = map_text(guess_files([first, second]), {})
+    text = map_text(guess_files([first, second]))
     (tmp_path / "map.yaml").write_text(text)
     rules = read_map(tmp_path / "map.yaml", unresolved=True)
     assert len(prepare_all(first, rules)) == 1

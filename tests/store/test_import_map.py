@@ -200,7 +200,6 @@ def test_the_map_in_the_documentation_is_good(tmp_path):
         *rules.file.file.model_fields_set,
         "late_by",
         "stale_after",
-        "blip",
         "gain_uncertainty",
     ]
     reported = text.replace("`", " ")

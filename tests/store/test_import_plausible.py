@@ -32,7 +32,8 @@ def look(file, bore=None, contraction=None, confirmed=(), columns=COLUMNS):
     flags, found = inspect(file.t, channels, (0.5 / period, 2.0 / period), 4 * period, 60.0)
     held = file.kind == "isometric"
     flags, still = stopped(file.t, channels, flags, held=held)
-    more, questions = judge(file.t, channels, flags, Muscle(bore and bore * 1e-3, 0.3, contraction, held), confirmed)
+    muscle = Muscle(bore and bore * 1e-3, 0.3, contraction, held, not held)
+    more, questions = judge(file.t, channels, flags, muscle, confirmed)
     return flags, {each.kind: each for each in found + still + more}, questions
 
 
@@ -220,9 +221,37 @@ def test_whole_newtons_are_a_question_where_the_file_itself_names_the_unit():
     assert look(whole, columns=named, confirmed=("counts",))[2] == []
 
 
-def test_an_absolute_pressure_is_a_doubt():
+def test_an_absolute_pressure_is_a_question():
     file = isometric(1)
-    assert look(damaged(file, pressure=file.pressure + 101.3))[1]["absolute"].level == "doubt"
+    for air in (90.0, 101.3, 103.0):
+        (question,) = look(damaged(file, pressure=file.pressure + air))[2]
+        assert question.what == "absolute"
+    assert look(damaged(file, pressure=file.pressure + 101.3), confirmed=("absolute",))[2] == []
+
+
+@pytest.mark.parametrize("factor", [1e3, 1e-5])
+def test_a_length_in_a_unit_that_cannot_be_is_a_question(factor):
+    """Metres called mm, and micrometres called mm."""
+    file = steps(1)
+    wrong = damaged(file, displacement=file.displacement * factor)
+    (question,) = look(wrong)[2]
+    assert (question.what, question.where) == ("length-unit", "x (mm)")
+    assert look(wrong, confirmed=("length-unit",))[2] == []
+
+
+def test_a_length_that_is_only_set_may_stay_at_0():
+    file = isometric(1)
+    rest = 1e-2 * np.random.default_rng(1).standard_normal(len(file.t))
+    assert look(damaged(file, displacement=rest))[2] == []
+    (question,) = look(damaged(file, displacement=rest + 4e3))[2]
+    assert question.what == "length-unit", "4 mm called m"
+
+
+def test_a_command_in_a_unit_that_cannot_be_withholds():
+    file = steps(1)
+    _, found, _ = look(damaged(file, command=file.command / 100.0))
+    assert found["magnitude"].withholds
+    assert found["magnitude"].channel == "pressure_command"
 
 
 def test_the_factors_of_chou_and_hannaford():

@@ -50,13 +50,6 @@ def test_a_cut_wire_is_a_dropout_and_not_out_of_range():
     assert "0 mA" in finding.text
 
 
-def test_only_a_single_sample_is_a_blip():
-    t, raw = clean()
-    raw[50] = raw[100] = raw[101] = 4.0
-    flags, _ = look(t, raw, blip=4.0)
-    assert flagged(flags, Flag.DROPOUT) == [50]
-
-
 def test_gaps_are_not_closed():
     t, raw = clean()
     t[200:] += 8.0

@@ -10,11 +10,12 @@ from click.testing import CliRunner
 from pmabench.base.errors import InvalidFile
 from pmabench.cli.main import main
 from pmabench.files.document import Document
+from pmabench.kinds.registry import importable
 from pmabench.store.importers import apart
 from pmabench.store.importers.guess.columns import Proposal, choose, unit_in, words
 from pmabench.store.importers.guess.write import map_text
 from pmabench.store.importers.map_file import questions_of
-from pmabench.store.importers.prepare import prepare
+from pmabench.store.importers.prepare import _moves, prepare
 from tests.importing import guess_files, read_map
 
 T = np.arange(0, 20, 0.01)
@@ -42,8 +43,15 @@ def file(path, columns, digits=4):
 
 def asked(path):
     """Key -> question of the guessed map of one file."""
-    questions = questions_of(Document("map.yaml", map_text(guess_files([path]), {})))
+    questions = questions_of(Document("map.yaml", map_text(guess_files([path]))))
     return {question.what: question for question in questions}
+
+
+def findings(path):
+    """Kinds and levels of what an import of one file by its guessed map finds."""
+    (path.parent / "map.yaml").write_text(map_text(guess_files([path])), encoding="utf-8")
+    prepared = prepare(path, read_map(path.parent / "map.yaml", unresolved=True))
+    return {each.kind: each for each in prepared.findings}, prepared
 
 
 def call(*args, code=0):
@@ -58,22 +66,24 @@ def test_a_file_that_shows_everything_is_asked_nothing(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "scale", "used", "candidates"),
-    [
-        ("P [kPa]", 0.01, "kPa", "bar: at most 498 kPa"),
-        ("P [MPa]", 0.01, "MPa", "bar: at most 498 kPa"),
-        ("P [bar]", 1.0, "bar", "kPa: at most 498 kPa"),
-        ("P", 0.01, "bar", "bar: at most 498 kPa"),
-        ("P", 0.145, "kPa", "kPa: at most 72.1 kPa; psi: at most 497 kPa"),
-    ],
+    ("scale", "used", "candidates"),
+    [(0.01, "bar", "bar: at most 498 kPa"), (0.145, "kPa", "kPa: at most 72.1 kPa; psi: at most 497 kPa")],
 )
-def test_a_pressure_whose_unit_cannot_be_or_is_not_given_is_asked_for(tmp_path, name, scale, used, candidates):
-    path = file(tmp_path / "held_8mm_Test1.csv", {"t [s]": T, name: scale * P, "F [N]": F})
+def test_a_pressure_whose_unit_is_not_given_is_asked_for(tmp_path, scale, used, candidates):
+    path = file(tmp_path / "held_8mm_Test1.csv", {"t [s]": T, "P": scale * P, "F [N]": F})
     found = asked(path)
-    assert list(found) == [f"columns.{name}.unit"]
-    question = found[f"columns.{name}.unit"]
-    assert question.used == used
-    assert candidates in question.question
+    assert list(found) == ["columns.P.unit"]
+    assert found["columns.P.unit"].used == used
+    assert candidates in found["columns.P.unit"].question
+
+
+@pytest.mark.parametrize(
+    ("name", "scale", "unit"), [("P [kPa]", 0.01, "bar"), ("P [MPa]", 0.01, ""), ("P [bar]", 1.0, "")]
+)
+def test_a_pressure_whose_unit_cannot_be_withholds(tmp_path, name, scale, unit):
+    found, _ = findings(file(tmp_path / "held_8mm_Test1.csv", {"t [s]": T, name: scale * P, "F [N]": F}))
+    assert found["magnitude"].withholds
+    assert f"is it {unit}?" in found["magnitude"].text or not unit
 
 
 def test_whole_numbers_without_a_unit_are_never_newtons(tmp_path):
@@ -89,42 +99,33 @@ def test_whole_numbers_without_a_unit_are_never_newtons(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("label", "scale", "slope", "candidate"),
-    [
-        ("kPa", 0.145038, 2.3, "psi: at most 498 kPa"),
-        ("bar", 1e-3, 2.3, "MPa: at most 498 kPa"),
-        ("kPa", 0.17, 2.3, ""),
-    ],
+    ("label", "scale", "candidate"), [("kPa", 0.145038, "in psi (499 kPa)"), ("bar", 1e-3, "in MPa (499 kPa)")]
 )
-def test_a_low_pressure_with_the_force_of_a_high_one_is_asked_for(tmp_path, label, scale, slope, candidate):
+def test_a_low_pressure_with_the_force_of_a_high_one_is_a_question_of_the_import(tmp_path, label, scale, candidate):
     """2.3 N/kPa is a muscle of 20 mm; read in a unit too small by 6.9 or 10 it would be one of 50 mm and more."""
-    force = slope * P + 5 if candidate else slope * scale * P + 5
-    columns = {"t [s]": T, f"P [{label}]": scale * P, "F [N]": force + NOISE[1]}
-    found = asked(file(tmp_path / "held_8mm_Test1.csv", columns, digits=6))
-    assert list(found) == ([f"columns.P [{label}].unit"] if candidate else [])
-    assert all(candidate in question.question for question in found.values())
+    columns = {"t [s]": T, f"P [{label}]": scale * P, "F [N]": 2.3 * P + 5 + NOISE[1]}
+    _, prepared = findings(file(tmp_path / "held_8mm_Test1.csv", columns, digits=6))
+    (question,) = prepared.questions
+    assert question.what == "pressure-unit"
+    assert candidate in question.question
 
 
-def test_whole_newtons_far_from_zero_or_in_one_file_only_may_be_counts(tmp_path):
-    columns = {"t [s]": T, "P [kPa]": P, "F [N]": F}
-    one = file(tmp_path / "held_8mm_Test1.csv", columns)
-    two = file(tmp_path / "held_8mm_Test2.csv", {**columns, "F [N]": np.round(F)})
-    raw = file(tmp_path / "held_8mm_Test3.csv", {**columns, "F [N]": np.round(1.46 * F + 210)})
-    assert asked(two) == {}, "a display of whole newtons"
-    question = asked(raw)["columns.F [N].unit"].question
-    assert "holds whole numbers only, and 2" in question
-    guess = guess_files([one, two])
-    (question,) = questions_of(Document("map.yaml", map_text(guess, {})))
-    assert "holds whole numbers in held_8mm_Test2.csv, but not in others" in question.question
+@pytest.mark.parametrize("force", [np.round(1.46 * F + 210), np.round(F)])
+def test_whole_newtons_are_a_question_of_the_import(tmp_path, force):
+    """Counts, or a display of whole newtons."""
+    _, prepared = findings(file(tmp_path / "held_8mm_Test1.csv", {"t [s]": T, "P [kPa]": P, "F [N]": force}))
+    assert [question.what for question in prepared.questions] == ["counts"]
 
 
-def test_a_force_that_falls_with_the_pressure_is_asked_for_its_sign(tmp_path):
-    path = file(tmp_path / "held_8mm_Test1.csv", {"t [s]": T, "P [kPa]": P, "F [N]": -F})
-    found = asked(path)
-    assert [(key, found[key].used) for key in found] == [("columns.F [N].line.slope", "-1 N/N")]
-    (tmp_path / "map.yaml").write_text(map_text(guess_files([path]), {}), encoding="utf-8")
-    rules = read_map(tmp_path / "map.yaml", [("columns.F [N].line.slope", "-1 N/N")])
-    assert rules.column("force").slope == -1.0
+@pytest.mark.parametrize("driven", [False, True])
+def test_a_force_whose_cell_reads_pulling_as_negative_withholds_with_the_line_to_write(tmp_path, driven):
+    columns = {"t [s]": T, "P [kPa]": P, "F [N]": -F}
+    if driven:
+        x = 5.0 - 5.0 * np.cos(2 * np.pi * 0.5 * T)
+        columns = {"t [s]": T, "P [kPa]": 300 + 0.2 * NOISE[0], "x [mm]": x, "F [N]": 20 * x - 500 + NOISE[1]}
+    found, _ = findings(file(tmp_path / "held_8mm_Test1.csv", columns))
+    assert found["magnitude"].withholds
+    assert "say line: {slope: -1 N/N, offset: 0 N}" in found["magnitude"].text
 
 
 def test_a_unit_of_time_that_no_test_has_is_asked_for(tmp_path):
@@ -185,7 +186,7 @@ def test_an_absolute_pressure_that_does_not_say_so_is_asked_for(tmp_path):
 def test_numbers_in_names_that_may_be_others_are_asked_for(tmp_path, names, point):
     files = [file(tmp_path / f"{name}.csv", {"t [s]": T, "P [kPa]": P, "F [N]": F}) for name in names]
     ((key, values),) = point.items()
-    text = map_text(guess_files(files), {})
+    text = map_text(guess_files(files))
     assert f"name_tells.units.{key}" in {each.what for each in questions_of(Document("map.yaml", text))}
     (tmp_path / "map.yaml").write_text(text, encoding="utf-8")
     answers = [("trials.point.contraction", "1 mm")] if key != "contraction" else []
@@ -199,7 +200,7 @@ def test_numbers_in_names_that_may_be_others_are_asked_for(tmp_path, names, poin
 def test_usual_names_are_not(tmp_path, names):
     files = [file(tmp_path / f"{name}.csv", {"t [s]": T, "P [kPa]": P, "F [N]": F}) for name in names]
     guess = guess_files(files)
-    assert not [each for each in questions_of(Document("map.yaml", map_text(guess, {}))) if "name" in each.what]
+    assert not [each for each in questions_of(Document("map.yaml", map_text(guess))) if "name" in each.what]
     assert set(guess.form_units) == {"contraction"}
 
 
@@ -222,7 +223,7 @@ def test_a_constant_length_is_no_step_test(tmp_path, name, reported, used):
     found = asked(path)
     if reported:
         assert found == {}
-        assert "point: {contraction: 8 mm}" in map_text(guess, {})
+        assert "point: {contraction: 8 mm}" in map_text(guess)
     else:
         assert found["trials.point.contraction"].used == used
 
@@ -252,7 +253,7 @@ def test_the_frequency_of_a_sine_is_fitted_where_no_name_shows_it(tmp_path):
     assert guess.kind == "recorded-sine"
     assert guess.trials["by"] == "sine"
     assert asked(path) == {}
-    (tmp_path / "map.yaml").write_text(map_text(guess, {}), encoding="utf-8")
+    (tmp_path / "map.yaml").write_text(map_text(guess), encoding="utf-8")
     call("import", path, "--map", tmp_path / "map.yaml", "--out", tmp_path / "runs")
     (run,) = (tmp_path / "runs").iterdir()
     reported = json.loads(call("runs", "show", run, "--json"))
@@ -298,6 +299,8 @@ def test_two_clocks_that_disagree_are_a_question(tmp_path):
     question = asked(path)["columns.t [s].is"]
     assert question.used == "time"
     assert '"t [s]" lasts 19.99 s, "time daq [s]" 21.99 s' in question.question
+    path = file(tmp_path / "held_7mm_Test1.csv", {"t [s]": T, "P [kPa]": P, "F [N]": F, "time daq [s]": T + 0.04})
+    assert "is 40 ms later than" in asked(path)["columns.t [s].is"].question
     path = file(tmp_path / "held_9mm_Test1.csv", {"t [s]": T, "P [kPa]": P, "F [N]": F, "time daq [ms]": 1e3 * T})
     assert asked(path) == {}
 
@@ -351,21 +354,21 @@ def test_a_file_without_a_time_is_asked_for_its_period(tmp_path):
 
 
 def test_open_questions_are_refused_answered_or_go_along(tmp_path):
-    path = file(tmp_path / "held_8mm_Test1.csv", {"t [s]": T, "P [kPa]": 0.01 * P, "F [N]": F})
+    path = file(tmp_path / "held_8mm_Test1.csv", {"t [s]": T, "P": P, "F [N]": F})
     reported = call("import", "--guess", path, "-o", tmp_path / "map.yaml")
     assert "1 question that no file answers" in reported
     assert "[until then: kPa]" in reported
     words = ["import", path, "--map", tmp_path / "map.yaml", "--out"]
     refused = call(*words, tmp_path / "none", code=3)
-    assert "which unit is it? Read in bar: at most 498 kPa" in refused
-    assert "--set 'columns.P [kPa].unit=...'" in refused
+    assert 'in which unit is "P"? The file does not say it. Read in kPa: at most 498 kPa' in refused
+    assert "--set 'columns.P.unit=...'" in refused
     assert not (tmp_path / "none").exists()
-    reported = call(*words, tmp_path / "typo", "--set", "columns.P.unit=bar", code=3)
-    assert 'there is no "P"' in reported
-    reported = call(*words, tmp_path / "typo", "--set", "columns.P [kPa].unt=bar", "--unresolved", code=3)
+    reported = call(*words, tmp_path / "typo", "--set", "columns.Q.unit=bar", code=3)
+    assert 'there is no "Q"' in reported
+    reported = call(*words, tmp_path / "typo", "--set", "columns.P.unt=bar", "--unresolved", code=3)
     assert 'unknown key "unt"; did you mean "unit"?' in reported
-    call(*words, tmp_path / "bar", "--set", "columns.P [kPa].unit=bar", "--set", "specimen.nominal_length=130 mm")
-    (run,) = (tmp_path / "bar").iterdir()
+    call(*words, tmp_path / "kPa", "--set", "columns.P.unit=kPa", "--set", "specimen.nominal_length=130 mm")
+    (run,) = (tmp_path / "kPa").iterdir()
     specimen = json.loads((run / "manifest.json").read_text())["specimen"]
     assert specimen["nominal_length"] == 0.13, "a key that is no question can be set, too"
     data = json.loads(call("process", run, "--json"))
@@ -373,18 +376,18 @@ def test_open_questions_are_refused_answered_or_go_along(tmp_path):
     assert slope["value"] == pytest.approx(1.2e-3, rel=0.01)
     assert json.loads((run / "manifest.json").read_text())["imported"]["unresolved"] == []
     open_ended = call(*words, tmp_path / "open", "--unresolved")
-    assert "not answered: columns.P [kPa].unit:" in open_ended
+    assert "not answered: columns.P.unit:" in open_ended
     (run,) = (tmp_path / "open").iterdir()
     (entry,) = json.loads((run / "manifest.json").read_text())["imported"]["unresolved"]
-    assert (entry["what"], entry["used"]) == ("columns.P [kPa].unit", "kPa")
-    assert "not answered columns.P [kPa].unit:" in call("runs", "show", run)
+    assert (entry["what"], entry["used"]) == ("columns.P.unit", "kPa")
+    assert "not answered columns.P.unit:" in call("runs", "show", run)
     reported = call("process", run, code=6)
     assert "not accepted: isometric: not answered:" in " ".join(reported.split())
     page = tmp_path / "page.html"
     call("report", run, "-o", page)
     front = page.read_text(encoding="utf-8").split("<nav")[0]
     assert "not answered" in front
-    assert "bar: at most 498 kPa" in front
+    assert "kPa: at most 498 kPa" in front
 
 
 def test_a_source_that_was_changed_afterwards_is_reported(tmp_path):
@@ -410,10 +413,10 @@ def test_questions_of_maps_that_people_wrote(tmp_path):
 
 
 def test_a_guess_prints_each_question_once_and_the_map_only_where_it_is_asked_for(tmp_path):
-    path = file(tmp_path / "held_8mm_Test1.csv", {"t [s]": T, "P [kPa]": 0.01 * P, "F [N]": F})
+    path = file(tmp_path / "held_8mm_Test1.csv", {"t [s]": T, "P": P, "F [N]": F})
     brief = call("import", "--guess", path)
-    assert (brief.count("which unit is it?"), "schema: pmabench.map/1" in brief) == (1, False)
-    assert "  columns.P [kPa].unit: " in brief
+    assert (brief.count("in which unit is"), "schema: pmabench.map/1" in brief) == (1, False)
+    assert "  columns.P.unit: " in brief
     assert "schema: pmabench.map/1" in call("import", "--guess", path, "-v")
 
 
@@ -428,13 +431,6 @@ def test_a_workbook_is_refused_with_the_way_on(tmp_path, begin):
     assert "Excel workbook, or another archive: save the sheet as CSV" in call(
         "import", "--guess", tmp_path / "old.xlsx", code=3
     )
-
-
-def findings(path):
-    """Kinds and levels of what an import of one file by its guessed map finds."""
-    (path.parent / "map.yaml").write_text(map_text(guess_files([path]), {}), encoding="utf-8")
-    prepared = prepare(path, read_map(path.parent / "map.yaml", unresolved=True))
-    return {each.kind: each for each in prepared.findings}, prepared
 
 
 @pytest.mark.parametrize(("swap", "period", "late", "expected"), [
@@ -471,3 +467,9 @@ def test_a_channel_with_blanks_is_one_of_numbers(tmp_path, every):
         "\n".join([f"{head},note", *(f"{line},{'valve on' if k == 9 else ''}" for k, line in enumerate(lines))])
     )
     assert [column.reasons[0] for column in guess_files([path]).columns][-1] == "holds words, not numbers"
+
+
+@pytest.mark.parametrize(("kind", "moves"), [("recorded-pull", True), ("sinusoidal-displacement", True), ("recorded-step", True), ("isometric-pressurisation", False), ("isometric", False)])  # fmt: skip
+def test_a_length_that_hardly_moves_has_another_unit_but_where_it_is_held(kind, moves):
+    """Metres called mm: 3 N/mm would be 3000 times too much; at full length an isometric test does not move at all."""
+    assert _moves(importable()[kind]) is moves

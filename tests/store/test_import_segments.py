@@ -169,7 +169,7 @@ def test_a_guess_cuts_files_without_command_as_they_are(tmp_path, kind):
     (tmp_path / "old.csv").write_text(f"t (s),p (kPa),{other}\n{rows}\n", encoding="utf-8")
     guess = guess_files([tmp_path / "old.csv"])
     assert guess.trials["by"] == kind
-    (tmp_path / "map.yaml").write_text(map_text(guess, {}), encoding="utf-8")
+    (tmp_path / "map.yaml").write_text(map_text(guess), encoding="utf-8")
     answers = {"step": [("columns.p (kPa).line.offset", "0 kPa")], "ramp": [("trials.point.contraction", "4 mm")]}
     (run,) = import_files(
         [tmp_path / "old.csv"], tmp_path / "map.yaml", tmp_path / "runs", answers.get(kind, ()), unresolved=True

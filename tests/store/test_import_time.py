@@ -1,5 +1,6 @@
 """Time in every form that programs write it: the seconds between rows are those of the recording, whatever the form."""
 
+import re
 from datetime import datetime, timedelta
 
 import numpy as np
@@ -211,7 +212,7 @@ def test_the_clock_of_another_matrix_is_a_doubt(tmp_path):
     assert "of other matrices" in found.text
 
 
-def test_a_guess_gives_each_matrix_its_own_clock_and_leaves_out_a_record_of_zeros(tmp_path):
+def test_a_guess_shows_one_matrix_and_how_further_tests_are_named(tmp_path):
     rng = np.random.default_rng(1)
 
     def matrix(step):
@@ -219,13 +220,18 @@ def test_a_guess_gives_each_matrix_its_own_clock_and_leaves_out_a_record_of_zero
         P = 150 * (1 - np.cos(2 * np.pi * t / t[-1]))
         return np.column_stack([t, P, 2 * P + 5])
 
-    zero = np.column_stack([np.arange(900) * 0.01, 0.1 * rng.standard_normal((900, 2))])
+    zero = np.column_stack([np.arange(300) * 0.01, 0.1 * rng.standard_normal((300, 2))])
     savemat(tmp_path / "log.mat", {"zero": zero, "slow": matrix(0.02), "fast": matrix(0.005)})
-    text = map_text(guess_files([tmp_path / "log.mat"]), {})
-    assert "nothing moves in zero" in text
+    text = map_text(guess_files([tmp_path / "log.mat"]))
+    assert "if each is a test as slow is, the map then says" in text
     (tmp_path / "map.yaml").write_text(text)
-    answers = [("columns.{test}(:,2)", "{is: pressure, unit: kPa}"), ("columns.{test}(:,3)", "{is: force, unit: N}")]
-    answers += [("kind", "isometric"), *((f"tests.{test}.point.contraction", "0 mm") for test in (0, 1))]
+    answers = [("columns.slow(:,2)", "{is: pressure, unit: kPa}"), ("columns.slow(:,3)", "{is: force, unit: N}")]
+    answers += [("kind", "isometric"), ("trials.point", "{contraction: 0 mm}")]
+    (slow,) = prepare_all(tmp_path / "log.mat", read_map(tmp_path / "map.yaml", answers, unresolved=True))
+    assert slow.period == pytest.approx(0.02)
+    tests = text.replace("slow(", "{test}(") + "tests: [{name: slow}, {name: fast}]\n"
+    (tmp_path / "map.yaml").write_text(re.sub("sampling:.*", "sampling: {rate: [20 Hz, 500 Hz], gap: 1 s}", tests))
+    answers = [(key.replace("slow(", "{test}("), value) for key, value in answers]
     slow, fast = prepare_all(tmp_path / "log.mat", read_map(tmp_path / "map.yaml", answers, unresolved=True))
     assert (slow.name, fast.name) == ("slow", "fast")
     assert (slow.period, fast.period) == (pytest.approx(0.02), pytest.approx(0.005))

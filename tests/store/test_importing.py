@@ -101,7 +101,7 @@ def test_steps_are_found_in_the_command_and_its_zeros_are_none(tmp_path):
     assert [trial.point["pressure"] for trial in data.trials] == pytest.approx([360e3, 120e3])
     assert [trial.commands[0].t for trial in data.trials] == pytest.approx([2.0, 4.0], abs=0.03)
     assert data.trials[0].point["mass"] == 5.0
-    assert run.flagged["dropout"] == 2
+    assert run.flagged["suspect"] == 2
     assert "5 kg hanging" in data.manifest["imported"]["notes"]
     assert data.manifest["started_utc"].startswith("2026-01-05T10:15")
     assert data.channels["displacement"].gain_uncertainty == pytest.approx(0.23)

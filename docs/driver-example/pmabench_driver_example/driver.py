@@ -9,7 +9,7 @@ from time import monotonic
 
 from pmabench_drivers.shared.device import Controlled
 from pmabench_drivers.shared.link import JOIN, Still, opened
-from pmabench_drivers.shared.options import Reader
+from pmabench_drivers.shared.options import Reader, option
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
@@ -27,15 +27,15 @@ VALVES = {"dump": "1", "supply": "2"}
 class Options:
     """What a bench file says about the device."""
 
-    rate: float
+    rate: float = option(Reader.quantity, "frequency", 50.0, 1.0, 200.0)
     """Highest rate at which it is polled, and at which ramps and sines are stepped [Hz]."""
-    timeout: float
+    timeout: float = option(Reader.quantity, "time", 0.1, 0.01, 0.15)
     """Longest wait for an answer [s]."""
 
 
 def read_options(device: DeviceRecord, reader: Reader) -> Options:
     """The options; every problem goes to the reader, with its place."""
-    given = reader.keys(device.options, ("options",), {"rate", "timeout"})
+    options, _ = reader.options(Options, device.options, ("options",))
     reader.host(device, "192.168.0.10:4000")
     named = [
         *((("channels", channel.name, "input"), channel.input, INPUTS) for channel in device.channels),
@@ -45,10 +45,7 @@ def read_options(device: DeviceRecord, reader: Reader) -> Options:
     ]
     for place, name, names in named:
         reader.known(place, "no", name, names, f"; there is {' and '.join(names)}")
-    return Options(
-        reader.quantity(given, "rate", ("options",), "frequency", 50.0, 1.0, 200.0),
-        reader.quantity(given, "timeout", ("options",), "time", 0.1, 0.01, 0.15),
-    )
+    return options
 
 
 class ExampleController(Controlled):

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from time import monotonic
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -23,7 +23,7 @@ from pmabench.base.errors import DeviceError, did_you_mean
 from pmabench.bench.interface import DeviceRecord, Identity, OutputRecord
 from pmabench_drivers.shared.device import Controlled
 from pmabench_drivers.shared.link import JOIN, Still, always
-from pmabench_drivers.shared.options import Reader
+from pmabench_drivers.shared.options import Reader, option
 
 if TYPE_CHECKING:
     from pmabench_drivers.alicat.ascii_link import AsciiLink
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     Link: TypeAlias = AsciiLink | ModbusLink
 
 ASCII, MODBUS = "ascii", "modbus"
-KEYS = ("protocol", "unit_id", "baud", "unit", "valves", "rate", "timeout", "slowest")
 BAUDS = (19200, 38400, 57600, 115200)
 """Supported baud rates; slower lines cannot list the columns within the time limit of opening."""
 INPUTS = ("pressure", "set_point")
@@ -71,51 +70,39 @@ MEANING = {
 class Options:
     """Options of the driver `alicat` for a controller; times in s, rates in Hz."""
 
-    protocol: str = ASCII
+    protocol: str = option(Reader.choice, (ASCII, MODBUS), ASCII)
     letter: str = "A"
     """Unit ID over ASCII."""
     number: int = 1
     """Unit ID over Modbus."""
-    baud: int = 19200
+    baud: int = option(Reader.one_of, BAUDS, 19200)
     unit: str = "kPa"
     """Unit of every number on the line."""
-    valves: int = 2
+    valves: int = option(Reader.whole, 1, 2, 2)
     """2: it fills and vents by itself (PCD); 1: it only fills, and vents through a bleed (PC)."""
-    rate: float = 50.0
+    rate: float = option(Reader.quantity, "frequency", 50.0, 0.1, 500.0)
     """Highest polling rate."""
-    timeout: float = 0.06
+    timeout: float = option(Reader.quantity, "time", 0.06, 0.01, 0.1)
     """Longest wait for an answer."""
-    slowest: float = 0.5
+    slowest: float = option(Reader.quantity, "time", 0.5, 0.0, 10.0)
     """How long after a request the device may still answer it."""
 
 
 def read_options(device: DeviceRecord, reader: Reader) -> Options:
     """Options of a device; also checks that its channels and output exist on an Alicat."""
-    place, base = ("options",), Options()
-    given = reader.keys(device.options, place, KEYS, ("protocol",))
+    place = ("options",)
+    options, given = reader.options(Options, device.options, place, ("unit_id", "unit"), ("protocol",))
     if not device.address.startswith("/"):
         wanted = 'the path of a serial port is expected, for instance "/dev/ttyUSB0"'
         reader.fault(("address",), f'{wanted}, not "{device.address}"')
-    protocol = reader.choice(given, "protocol", place, (ASCII, MODBUS), ASCII)
-    letter, number = base.letter, base.number
-    if protocol == ASCII:
-        letter = reader.text(given, "unit_id", place, base.letter).upper()
+    if options.protocol == ASCII:
+        letter = reader.text(given, "unit_id", place, options.letter).upper()
         if len(letter) != 1 or not "A" <= letter <= "Z":
             reader.fault((*place, "unit_id"), "one letter from A to Z is expected")
-            letter = base.letter
+        options = replace(options, letter=letter)
     else:
-        number = reader.whole(given, "unit_id", place, 1, 247, base.number)
-    return Options(
-        protocol=protocol,
-        letter=letter,
-        number=number,
-        baud=reader.one_of(given, "baud", place, BAUDS, base.baud),
-        unit=_unit(device, given.get("unit"), protocol, reader),
-        valves=reader.whole(given, "valves", place, 1, 2, base.valves),
-        rate=reader.quantity(given, "rate", place, "frequency", base.rate, 0.1, 500.0),
-        timeout=reader.quantity(given, "timeout", place, "time", base.timeout, 0.01, 0.1),
-        slowest=reader.quantity(given, "slowest", place, "time", base.slowest, 0.0, 10.0),
-    )
+        options = replace(options, number=reader.whole(given, "unit_id", place, 1, 247, 1))
+    return replace(options, unit=_unit(device, given.get("unit"), options.protocol, reader))
 
 
 def _unit(device: DeviceRecord, given: object, protocol: str, reader: Reader) -> str:

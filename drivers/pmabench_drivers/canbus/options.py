@@ -14,7 +14,7 @@ from typing import Any
 
 from pmabench.bench.interface import DeviceRecord, OutputRecord
 from pmabench_drivers.canbus.link import INTERFACES, NUMBERED, RATES
-from pmabench_drivers.shared.options import Place, Reader
+from pmabench_drivers.shared.options import Place, Reader, option
 
 MOST = 2_000_000
 """Longest text accepted [characters]."""
@@ -27,8 +27,6 @@ _SIGNAL = re.compile(
 _KIND = re.compile(r"^SIG_VALTYPE_ (\d+) (\w+) *: *([0-3]) *;")
 _CYCLE = re.compile(r'^BA_ "GenMsgCycleTime" BO_ (\d+) (\d+) *;')
 PROFILES = (402, 406)
-OWN_NODE = 127
-"""Node number under which the program itself sends its heartbeat."""
 DRIVE, TRANSDUCER = ("position", "demand"), ("position",)
 """Inputs of a drive and of a transducer, after its name and a dot."""
 READY = "ready"
@@ -184,11 +182,12 @@ class NodeOptions:
 class Options:
     """Options of one bus."""
 
-    bitrate: int = 500_000
-    sync: float = 0.01
+    bitrate: int = option(Reader.one_of, tuple(RATES), 500_000)
+    sync: float = option(Reader.quantity, "time", 0.01, 0.002, 0.1)
     """Time between two SYNCs [s]."""
-    own_node: int = OWN_NODE
-    slowest: float = 0.1
+    own_node: int = option(Reader.whole, 1, 127, 127)
+    """Node number under which the program itself sends its heartbeat."""
+    slowest: float = option(Reader.quantity, "time", 0.1, 0.005, 10.0)
     """Largest age of a signal [s]."""
     nodes: Mapping[str, NodeOptions] = field(default_factory=dict)
     messages: Mapping[str, Message] = field(default_factory=dict)
@@ -213,21 +212,12 @@ class Options:
 def read_options(device: DeviceRecord, reader: Reader) -> Options:
     """Options of a device; also checks the names that its channels, outputs and interlocks use."""
     here: Place = ("options",)
-    given = reader.keys(device.options, here, ("bitrate", "sync", "own_node", "slowest", "nodes", "dbc"))
+    plain, given = reader.options(Options, device.options, here, ("nodes", "dbc"))
     _address(device.address, reader)
-    bitrate = reader.one_of(given, "bitrate", here, tuple(RATES), 500_000)
-    sync = reader.quantity(given, "sync", here, "time", 0.01, 0.002, 0.1)
+    sync = plain.sync
     if abs(sync * 1e4 - round(sync * 1e4)) > 1e-6 or (round(sync * 1e4) > 255 and round(sync * 1e4) % 10):
         reader.fault((*here, "sync"), "whole tenths of a millisecond, and above 25.5 ms whole milliseconds, are needed")
-    own = reader.whole(given, "own_node", here, 1, 127, OWN_NODE)
-    options = Options(
-        bitrate,
-        sync,
-        own,
-        reader.quantity(given, "slowest", here, "time", 0.1, 0.005, 10.0),
-        _nodes(given, own, reader),
-        _messages(given, reader),
-    )
+    options = replace(plain, nodes=_nodes(given, plain.own_node, reader), messages=_messages(given, reader))
     if not options.nodes and not options.messages and not reader.problems:
         reader.fault(here, '"nodes" or "dbc" is needed: a bus without either measures nothing')
     _names(device, options, reader)

@@ -13,14 +13,14 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from time import monotonic
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import EMULATED, UNPROVEN, DeviceRecord, Identity
 from pmabench_drivers.shared.link import Pace, who
-from pmabench_drivers.shared.options import Reader
+from pmabench_drivers.shared.options import Reader, option
 from pmabench_drivers.shared.serial_port import STREAM_PATIENCE, SerialStream
 
 INPUTS = tuple(f"a{number}" for number in range(8))
@@ -155,12 +155,12 @@ class Scans:
 class Options:
     """Options of a device."""
 
-    model: Model = MODELS["DI-2108"]
+    model: Model = option(Reader.mapped, MODELS, "DI-2108")
     ranges: Mapping[str, int] = field(default_factory=dict)
     """Code of each input's range, if it is not the widest."""
     baud: int = 115200
     """Without effect on USB."""
-    filter: int = 0
+    filter: int = option(Reader.mapped, FILTERS, "last")
     """Treatment of conversions between two samples: 0: only the last one is used, 1: they are averaged."""
 
     def span(self, source: str) -> float:
@@ -171,17 +171,16 @@ class Options:
 def read_options(device: DeviceRecord, reader: Reader) -> Options:
     """Options of a device; also checks the inputs that its channels use."""
     place = ("options",)
-    given = reader.keys(device.options, place, ("model", "ranges", "filter"), ("model",))
+    options, given = reader.options(Options, device.options, place, ("ranges",), ("model",))
     reader.port(device, "/dev/ttyACM0")
-    model = MODELS[reader.choice(given, "model", place, MODELS, "DI-2108")] if "model" in given else MODELS["DI-2108"]
+    model = options.model
     ranges = reader.keys(given.get("ranges", {}), (*place, "ranges"), INPUTS)
     codes = {
         source: model.ranges.index(reader.choice(ranges, source, (*place, "ranges"), model.ranges, model.ranges[0]))
         for source in ranges
         if source in INPUTS
     }
-    chosen = FILTERS[reader.choice(given, "filter", place, FILTERS, "last")]
-    if chosen and not model.decimates:
+    if options.filter and not model.decimates:
         reader.fault((*place, "filter"), f"a {model.name} has nothing to average: it samples no faster than it sends")
     if device.guarded:
         reader.fault((), "only what this device measures is used; it has no outputs, valves, interlocks or watchdog")
@@ -190,7 +189,7 @@ def read_options(device: DeviceRecord, reader: Reader) -> Options:
         reader.known((*at, "input"), "the device has no input", channel.input, INPUTS)
         if channel.raw_unit != "V":
             reader.fault(at, f'the device gives V, and the channel has "{channel.raw_unit}"')
-    return Options(model, codes, filter=chosen)
+    return replace(options, ranges=codes)
 
 
 def scan_inputs(device: DeviceRecord) -> list[str]:

@@ -58,7 +58,7 @@ class FestoCmmt(Watched):
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         super().__init__(device, clock)
         self._inputs = [channel.input for channel in device.channels]
-        self._watchdog = WatchdogRegisters(t.TIMEOUT, 1e-3)
+        self._watchdog = WatchdogRegisters(t.TIMEOUT)
         self._line: DriveLink | None = None
         self._turn = threading.Lock()
         """Held for a moment while what is commanded is replaced; never while the drive is waited for."""

@@ -21,7 +21,7 @@ from math import ceil, inf
 from pmabench.bench.interface import DeviceRecord, Segment
 from pmabench_drivers.modbus.registers import Register, decode, encode
 from pmabench_drivers.shared.device import HURRY, stepped
-from pmabench_drivers.shared.options import Reader
+from pmabench_drivers.shared.options import Reader, option
 
 PROCESS_OUT, PROCESS_IN = 0, 100
 """First register of the words sent to the drive, and of those it reports."""
@@ -217,16 +217,16 @@ class Path:
 class CmmtOptions:
     """Options of the driver `festo-cmmt` for a drive."""
 
-    rate: float
+    rate: float = option(Reader.quantity, "frequency", 100.0, 1.0, 200.0)
     """Cycles of process data [Hz]."""
-    speed: float
+    speed: float = option(Reader.quantity, "speed", 0.02, 1e-4, 1.0)
     """Speed of motions to a set-point other than ramps [m/s]."""
-    acknowledge_faults: bool
+    acknowledge_faults: bool = option(Reader.flag, default=False)
 
 
 def read_options(device: DeviceRecord, reader: Reader) -> CmmtOptions:
     """Options of a device; also checks the names that its channels and outputs use."""
-    given = reader.keys(device.options, HERE, ("rate", "speed", "acknowledge_faults"))
+    options, _ = reader.options(CmmtOptions, device.options, HERE)
     reader.host(device, "192.168.1.2:502")
     for channel in device.channels:
         place = ("channels", channel.name, "input")
@@ -247,8 +247,4 @@ def read_options(device: DeviceRecord, reader: Reader) -> CmmtOptions:
     if device.outputs and not device.watchdog:
         reader.fault((), f'a drive that moves needs "watchdog", {SHORTEST:g} s to {LONGEST:g} s')
     reader.watchdog(device, "a CMMT", SHORTEST, LONGEST)
-    return CmmtOptions(
-        reader.quantity(given, "rate", HERE, "frequency", 100.0, 1.0, 200.0),
-        reader.quantity(given, "speed", HERE, "speed", 0.02, 1e-4, 1.0),
-        reader.flag(given, "acknowledge_faults", HERE, default=False),
-    )
+    return options

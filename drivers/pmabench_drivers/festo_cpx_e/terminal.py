@@ -7,12 +7,12 @@ festo-cpx-io 0.11.2, read as a description of the protocol; CPX-E-EP manual (the
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from pmabench.base.errors import did_you_mean
 from pmabench.bench.interface import DeviceRecord, OutputRecord
-from pmabench_drivers.modbus.registers import Options, Register, RegisterMap, WatchdogRegisters
-from pmabench_drivers.shared.options import Reader
+from pmabench_drivers.modbus.registers import Mapped, Register, RegisterMap, WatchdogRegisters
+from pmabench_drivers.shared.options import Reader, option
 
 HERE = ("options",)
 
@@ -134,15 +134,16 @@ def build(names: tuple[str, ...]) -> tuple[Module, ...]:
 
 
 @dataclass(frozen=True)
-class CpxOptions(Options):
+class CpxOptions(Mapped):
     """Options of the driver `festo-cpx-e` for a terminal."""
 
+    rate: float = option(Reader.quantity, "frequency", 100.0, 0.1, 500.0)
     terminal: Terminal = field(default_factory=Terminal)
 
 
 def read_options(device: DeviceRecord, reader: Reader) -> CpxOptions:
     """Options of a device; also checks the names that its channels, outputs, valves and interlocks use."""
-    given = reader.keys(device.options, HERE, ("modules", "ranges", "rate"), ("modules",))
+    options, given = reader.options(CpxOptions, device.options, HERE, ("modules", "ranges"), ("modules",))
     reader.host(device, "192.168.1.1:502")
     names = reader.texts(given, "modules", HERE)
     wrong = [name for name in names if name not in KINDS]
@@ -156,12 +157,11 @@ def read_options(device: DeviceRecord, reader: Reader) -> CpxOptions:
         _used(device, terminal, reader)
     reader.watchdog(device, "a CPX-E", SHORTEST, LONGEST)
     map_ = RegisterMap(
-        rate=reader.quantity(given, "rate", HERE, "frequency", 100.0, 0.1, 500.0),
         inputs=terminal.inputs(),
         outputs=terminal.outputs(),
-        watchdog=WatchdogRegisters(TIMEOUT, 1e-3),
+        watchdog=WatchdogRegisters(TIMEOUT),
     )
-    return CpxOptions(map_, terminal=terminal)
+    return replace(options, map=map_, terminal=terminal)
 
 
 def _ranges(given: Mapping[str, object], modules: tuple[Module, ...], reader: Reader) -> dict[str, int]:

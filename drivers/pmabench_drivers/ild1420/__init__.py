@@ -18,7 +18,7 @@ from time import monotonic
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import EMULATED, UNPROVEN, DeviceRecord, Identity
 from pmabench_drivers.shared.link import Pace, who
-from pmabench_drivers.shared.options import Reader
+from pmabench_drivers.shared.options import Reader, option
 from pmabench_drivers.shared.serial_port import SerialStream
 
 BITS = 60
@@ -154,23 +154,20 @@ class Numbering:
 class Options:
     """Options of a sensor."""
 
-    span: int = 100
+    range: int = option(Reader.mapped, {f"{span} mm": span for span in SPANS}, "100 mm")
     """Measuring range [mm]."""
-    rate: float = 1000.0
+    rate: float = option(Reader.quantity, "frequency", 1000.0, 100.0, 4000.0)
     """Measuring rate that the sensor is set to [Hz]."""
-    baud: int = 921600
+    baud: int = option(Reader.one_of, BAUDS, 921600)
 
 
 def read_options(device: DeviceRecord, reader: Reader) -> Options:
     """Options of a device; also checks the inputs that its channels use."""
-    place, base = ("options",), Options()
-    given = reader.keys(device.options, place, ("range", "rate", "baud"), ("range", "rate"))
+    place = ("options",)
+    options, _ = reader.options(Options, device.options, place, needed=("range", "rate"))
     reader.port(device, "/dev/ttyUSB0")
-    spans = [f"{span} mm" for span in SPANS]
-    span = reader.choice(given, "range", place, spans, "100 mm") if "range" in given else "100 mm"
-    baud = reader.one_of(given, "baud", place, BAUDS, base.baud)
-    rate = reader.quantity(given, "rate", place, "frequency", base.rate, 100.0, 4000.0)
-    if rate * BITS > baud:
+    rate = options.rate
+    if rate * BITS > options.baud:
         reader.fault((*place, "rate"), f"{rate:g} distances a second with their counter need {rate * BITS:g} baud")
     if device.guarded:
         reader.fault((), "a laser only measures; it has no outputs, valves, interlocks or watchdog")
@@ -179,7 +176,7 @@ def read_options(device: DeviceRecord, reader: Reader) -> Options:
         reader.known((*at, "input"), "the sensor has no input", channel.input, [INPUT])
         if channel.raw_unit != "mm":
             reader.fault(at, f'the sensor gives mm, and the channel has "{channel.raw_unit}"')
-    return Options(int(span.removesuffix(" mm")), rate, baud)
+    return options
 
 
 PROMPT = b"->"
@@ -279,7 +276,7 @@ class Ild1420(SerialStream):
         if not self._problem:
             self._heard = monotonic()
         self._newest = taken
-        values = [distance(code, self._options.span)] * len(self._device.channels)
+        values = [distance(code, self._options.range)] * len(self._device.channels)
         self._samples.append(round(taken * 1e9), values, round(now * 1e9))
 
     # -- questions --------------------------------------------------------------------------------------------------
@@ -313,7 +310,7 @@ class Ild1420(SerialStream):
         return behind if rest else answer
 
     def _identity(self, fields: dict[str, str]) -> Identity:
-        name, expected = fields.get("Name", ""), self._options.span
+        name, expected = fields.get("Name", ""), self._options.range
         if not name.removeprefix(UNPROVEN).removeprefix(EMULATED).startswith("ILD1420"):
             raise DeviceError(self._device.name, f'is "{name[:40]}" and no ILD1420')
         span = re.fullmatch(r"(\d+(?:\.\d+)?) *mm", fields.get("Measuring range", ""))

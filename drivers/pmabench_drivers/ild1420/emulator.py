@@ -39,7 +39,7 @@ class Sensor(Streaming):
 
     def _carry_out(self, word: str, value: str) -> str:
         if word == "GETINFO":
-            span, name = self._options.span, self._plant.model("ILD1420")
+            span, name = self._options.range, self._plant.model("ILD1420")
             return (
                 f"\r\nName: {name}-{span}\r\nSerial: 1\r\nOption: 000\r\nMeasuring range: {span}.00mm\r\n"
                 "Version: 001.000"
@@ -72,7 +72,7 @@ class Sensor(Streaming):
         raw = self._wiring.raw(INPUT, quantities)
         if fault.kind == "noise":
             raw += random.uniform(-fault.value, fault.value)
-        code = code_of(raw, self._options.span)
+        code = code_of(raw, self._options.range)
         if fault.kind == "over":
             code = 262078
         elif fault.kind == "exception":

@@ -55,7 +55,7 @@ class LabJack(ModbusDevice):
 
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         super().__init__(device, clock)
-        self._model = self._options.model
+        self._model = self._options.kind
         self._lines = {valve.output: r.line_of(valve.output) or 0 for valve in device.valves}
         self._tables: dict[int, array[float]] = {}
         self._stream: StreamLink | None = None
@@ -65,7 +65,7 @@ class LabJack(ModbusDevice):
     def fastest(cls, device: DeviceRecord) -> float:
         """Highest rate of its stream with all channels, or of reading it [Hz]."""
         options = read_options(device, Reader())
-        return r.FASTEST / max(1, len(device.channels)) if options.model.streams else options.rate
+        return r.FASTEST / max(1, len(device.channels)) if options.kind.streams else options.rate
 
     # -- life -----------------------------------------------------------------------------------------------------
 
@@ -81,7 +81,7 @@ class LabJack(ModbusDevice):
 
     def _identify_model(self, deadline: float) -> Identity:
         self._prove_words(deadline)
-        name, wanted = self._options.name, self._model.product
+        name, wanted = self._options.model, self._model.product
         [product] = r.from_f32(self.get(r.PRODUCT_ID, 2, deadline, "product"))
         if product != wanted:
             known = {model.product: name for name, model in r.MODELS.items()}
@@ -161,7 +161,7 @@ class LabJack(ModbusDevice):
         """Write scan list and settings and read them back; returns the rate that the device will use [Hz]."""
         options, inputs = self._options, list(self._options.inputs.values())
         sizes = r.u32(len(inputs), len(inputs) * scans)
-        rest = [*r.f32(1e6 * options.settling), *r.u32(options.resolution, r.STREAM_BUFFER, 0)]
+        rest = [*r.f32(1e6 * options.settling), *r.u32(options.resolution_index, r.STREAM_BUFFER, 0)]
         addresses = r.u32(*(2 * item.number for item in inputs))
         self.put(r.STREAM_SCANRATE, [*r.f32(rate), *sizes, *rest], deadline, "stream")
         self.put(r.STREAM_AUTO_TARGET, r.u32(r.TO_ETHERNET, 0, 0), deadline, "stream")

@@ -53,7 +53,7 @@ def counts(volts: float, gain: int) -> int:
 def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> EmulatedT7:
     """Emulated device for a device of the driver `labjack`."""
     options = options_of(device, read_options)
-    stream_port = options.stream_port if options.model.streams else 0
+    stream_port = options.stream_port if options.kind.streams else 0
     return EmulatedT7(device, options, plant, log, options.port, stream_port)
 
 
@@ -106,7 +106,7 @@ class T7:
         self, device: DeviceRecord, options: Options, plant: RealPlant, log: CommandLog, stream: m.Streamer
     ) -> None:
         self.device, self._plant, self._log, self._stream = device, plant, log, stream
-        self._model = options.model
+        self._model = options.kind
         self._inputs = 2 * len(self._model.inputs)
         """Number of registers of its analogue inputs."""
         self._lock = threading.RLock()
@@ -115,7 +115,7 @@ class T7:
         self._valves = {r.line_of(valve.output): valve.output for valve in device.valves}
         self._locks = {r.line_of(lock.input): lock.input for lock in device.interlocks}
         self._words: dict[int, int] = {}
-        self._values = m.values_of(options.model)
+        self._values = m.values_of(options.kind)
         self._shown = self._show()
         self._last_error = 0
         self._levels = self._directions = 0

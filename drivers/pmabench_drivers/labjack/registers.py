@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from pmabench.bench.interface import DeviceRecord
-from pmabench_drivers.modbus import registers as modbus
-from pmabench_drivers.modbus.registers import Register, RegisterMap
-from pmabench_drivers.shared.options import Reader
+from pmabench_drivers.modbus.registers import Mapped, Register, RegisterMap
+from pmabench_drivers.shared.options import Reader, option
 
 TEST, TEST_VALUE = 55100, 0x00112233
 PRODUCT_ID, FIRMWARE_VERSION, SERIAL_NUMBER = 60000, 60004, 60028
@@ -167,31 +166,32 @@ class Input:
 
 
 @dataclass(frozen=True)
-class Options(modbus.Options):
+class Options(Mapped):
     """Options of one device; its map has outputs, lines and inputs that are read: no stream, no watchdog."""
 
+    model: str = option(Reader.choice, MODELS, "T7")
     host: str = ""
     port: int = 502
-    stream_port: int = STREAM_PORT
+    rate: float = option(Reader.quantity, "frequency", 100.0, 0.1, 500.0)
+    differential: tuple[str, ...] = option(Reader.texts)
+    stream_port: int = option(Reader.whole, 1, 65535, STREAM_PORT)
     inputs: Mapping[str, Input] = field(default_factory=dict)
     """Channel of the bench -> its input, in the order of the scan list."""
-    settling: float = 0.0
+    settling: float = option(Reader.quantity, "time", 0.0, 1e-6, 4e-3)
     """Time between two channels [s]; 0: the device's own choice."""
-    resolution: int = 0
+    resolution_index: int = option(Reader.whole, 0, 8, 0)
     """Resolution index of the stream."""
-    name: str = "T7"
 
     @property
-    def model(self) -> Model:
+    def kind(self) -> Model:
         """Properties of the model."""
-        return MODELS[self.name]
+        return MODELS[self.model]
 
 
 def read_options(device: DeviceRecord, reader: Reader) -> Options:
     """Options of a device; also checks the names that its channels, outputs, valves and interlocks use."""
-    given = reader.keys(device.options, HERE, ("model", "ranges", "rate", *OF_STREAMS))
-    name = reader.choice(given, "model", HERE, MODELS, "T7")
-    model = MODELS[name]
+    options, given = reader.options(Options, device.options, HERE, ("ranges",))
+    name, model = options.model, options.kind
     for key in given:
         if key in OF_STREAMS and not model.streams:
             reader.fault((*HERE, key), f"a {name} is asked for its samples here, and has no {key}")
@@ -201,7 +201,6 @@ def read_options(device: DeviceRecord, reader: Reader) -> Options:
     if given.get("ranges") and not model.ranges:
         reader.fault((*HERE, "ranges"), f"the ranges of a {name} are not set here")
     ranges = reader.choices(given, "ranges", HERE, model.ranges) if model.ranges else {}
-    differential = reader.texts(given, "differential", HERE)
     inputs: dict[str, Input] = {}
     for channel in device.channels:
         place, last = ("channels", channel.name, "input"), list(model.inputs)[-1]
@@ -212,25 +211,16 @@ def read_options(device: DeviceRecord, reader: Reader) -> Options:
             reader.fault(place, "gives volts, not counts: calibrate it in V")
         widest = next(iter(model.ranges), "")
         gain, span = model.ranges.get(ranges.get(channel.input, widest), (0, 0.0))
-        negative = number + 1 if channel.input in differential else SINGLE_ENDED
+        negative = number + 1 if channel.input in options.differential else SINGLE_ENDED
         inputs[channel.name] = Input(number, negative, gain, span)
-    _used_inputs(device, reader, ranges, differential)
+    _used_inputs(device, reader, ranges, options.differential)
     _outputs(device, name, reader)
     if device.watchdog and device.watchdog < 1.0:
         reader.fault(("watchdog",), "its watchdog counts whole seconds: 1 s or more, and 2 s leave room")
-    return Options(
-        _map(device, model, inputs, reader.quantity(given, "rate", HERE, "frequency", 100.0, 0.1, 500.0)),
-        host=host,
-        port=port,
-        stream_port=reader.whole(given, "stream_port", HERE, 1, 65535, STREAM_PORT),
-        inputs=inputs,
-        settling=reader.quantity(given, "settling", HERE, "time", 0.0, 1e-6, 4e-3),
-        resolution=reader.whole(given, "resolution_index", HERE, 0, 8, 0),
-        name=name,
-    )
+    return replace(options, map=_map(device, model, inputs), host=host, port=port, inputs=inputs)
 
 
-def _map(device: DeviceRecord, model: Model, inputs: Mapping[str, Input], rate: float) -> RegisterMap:
+def _map(device: DeviceRecord, model: Model, inputs: Mapping[str, Input]) -> RegisterMap:
     """Registers that the Modbus driver handles, as its map.
 
     Of captured inputs the first is read by its own register, and before the others.
@@ -244,7 +234,6 @@ def _map(device: DeviceRecord, model: Model, inputs: Mapping[str, Input], rate: 
     writes += [_line(valve.output) for valve in device.valves]
     return RegisterMap(
         timeout=TIMEOUT,
-        rate=rate,
         write_single=False,
         identity={"maker": "LabJack"},
         inputs={register.name: register for register in reads},

@@ -9,14 +9,13 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Iterable
 from typing import TYPE_CHECKING, TypeAlias
 
 from pmabench.base.clock import Clock, RealClock, VirtualClock
-from pmabench.base.errors import DeviceError, did_you_mean
+from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import Block, DeviceRecord, Identity, Load, OutputRecord, Segment
-from pmabench_drivers.mock.options import E_STOP, JOINT, PLATFORM, VALVES, Options, output_of, problems, read_options
-from pmabench_drivers.shared.device import refuse_nonsense
+from pmabench_drivers.mock.options import E_STOP, JOINT, PLATFORM, output_of, read_options
+from pmabench_drivers.shared.device import Driver, refuse_nonsense
 
 if TYPE_CHECKING:
     from pmabench_drivers.mock.simulation import JointSimulation, PlatformSimulation, Simulation
@@ -24,7 +23,7 @@ if TYPE_CHECKING:
     AnySimulation: TypeAlias = Simulation | JointSimulation | PlatformSimulation
 
 
-class MockBench:
+class MockBench(Driver):
     """A bench with the simulated plant in it: streams, takes set-points, ramps and sines, and places loads.
 
     With the plant `joint` there are two muscles, with `platform` three: see `pmabench_drivers.mock.simulation`.
@@ -40,23 +39,12 @@ class MockBench:
     """
 
     verified = "a simulation"
+    read_options = staticmethod(read_options)
 
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
-        self._device, self._clock = device, clock
-        self._options = self._read_options()
+        super().__init__(device, clock)
         self._opened: AnySimulation | None = None
         self._closed = threading.Event()
-
-    @classmethod
-    def check(cls, device: DeviceRecord) -> Iterable[tuple[tuple[str, ...], str]]:
-        """Errors of the options, each with its place; builds no plant."""
-        return problems(device, device.options)
-
-    def _read_options(self) -> Options:
-        options, name = read_options(self._device.name, self._device.options), self._device.name
-        if (options.faults.dead_at, options.faults.mute_at) != (None, None):
-            raise DeviceError(name, "the faults dead_at and mute_at need the driver mock-realtime")
-        return options
 
     def open(self) -> Identity:
         """Build the plant at rest, without pressure, the load support under the carriage."""
@@ -137,8 +125,7 @@ class MockBench:
 
     def level(self, name: str) -> bool:
         """Whether the emergency stop's contact is closed, which holds the input high."""
-        if name != E_STOP:
-            raise DeviceError(self._device.name, f'no digital input "{name}"{did_you_mean(name, [E_STOP])}')
+        self._known("digital input", name, [E_STOP])
         return self.simulation().e_stop_high()
 
     def place(self, load: Load) -> None:
@@ -152,9 +139,7 @@ class MockBench:
             raise DeviceError(self._device.name, str(error), output) from error
 
     def _valve(self, output: str) -> None:
-        known = [valve.output for valve in self._device.valves]
-        if output not in known:
-            raise DeviceError(self._device.name, f'no valve "{output}"{did_you_mean(output, known or VALVES)}')
+        self._known("valve", output, (valve.output for valve in self._device.valves))
 
     def _now(self) -> float:
         return _moment(self._clock.now())

@@ -15,7 +15,7 @@ import socket
 import sys
 import time
 from array import array
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -24,10 +24,11 @@ from typing import Any, TypeVar
 from pmabench.base.clock import Clock, RealClock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import Block, DeviceRecord, Identity, Load, Segment
-from pmabench_drivers.mock.options import PLATFORM, output_of, problems, read_options, split_service
+from pmabench_drivers.mock.options import Options, output_of, read_realtime
+from pmabench_drivers.shared.device import Driver
 
-LONGEST_LINE = 1 << 20
-LONGEST_BYTES = 1 << 26
+LONGEST_LINE, LONGEST = 1 << 20, 1 << 26
+"""Longest line, and most raw bytes after it."""
 Message = tuple[dict[str, Any], bytes]
 Answer = TypeVar("Answer")
 PATIENCE = 0.18
@@ -44,40 +45,15 @@ def encode(message: Mapping[str, Any], payload: bytes = b"") -> bytes:
     return json.dumps(head, separators=(",", ":")).encode() + b"\n" + payload
 
 
-class Inbox:
-    """Cuts a stream of bytes into whole messages."""
-
-    def __init__(self) -> None:
-        self._bytes = bytearray()
-        self._head: dict[str, Any] | None = None
-
-    def feed(self, piece: bytes) -> Iterator[Message]:
-        """Every message that `piece` completes; raises ValueError for an invalid one."""
-        self._bytes += piece
-        while True:
-            if self._head is None:
-                if (end := self._bytes.find(b"\n")) < 0:
-                    if len(self._bytes) > LONGEST_LINE:
-                        raise ValueError("a line is longer than any that is sent")
-                    return
-                self._head = self._read(bytes(self._bytes[:end]))
-                del self._bytes[: end + 1]
-            size = self._head.get("bytes", 0)
-            if not isinstance(size, int) or not 0 <= size <= LONGEST_BYTES:
-                raise ValueError(f"a message of {size} bytes")
-            if len(self._bytes) < size:
-                return
-            head, payload = self._head, bytes(self._bytes[:size])
-            del self._bytes[:size]
-            self._head = None
-            yield head, payload
-
-    @staticmethod
-    def _read(line: bytes) -> dict[str, Any]:
-        message = json.loads(line)
-        if not isinstance(message, dict):
-            raise ValueError("a message is no JSON object")
-        return message
+def decode(line: bytes) -> dict[str, Any]:
+    """The JSON object of one message; raises ValueError for anything else."""
+    message = json.loads(line)
+    if not isinstance(message, dict):
+        raise ValueError("a message is no JSON object")
+    size = message.get("bytes", 0)
+    if not isinstance(size, int) or not 0 <= size <= LONGEST:
+        raise ValueError(f"a message of {size} bytes")
+    return message
 
 
 def parse_address(device: str, address: str) -> tuple[str, int]:
@@ -95,7 +71,7 @@ class Link:
         self._device = device
         self._socket = socket.create_connection(address, timeout)
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._inbox = Inbox()
+        self._bytes = bytearray()
         self._number = 0
 
     def ask(self, do: str, by: float, **fields: Any) -> Message:
@@ -111,17 +87,29 @@ class Link:
         self._number += 1
         self._socket.settimeout(max(by - time.monotonic(), 1e-3))
         self._socket.sendall(encode({"n": self._number, "by": by, "do": do, **fields}))
-        while True:
-            if not (piece := self._socket.recv(1 << 18)):
-                raise ConnectionResetError("the other side has closed the connection")
-            for answer, payload in self._inbox.feed(piece):
-                if answer.get("n") == self._number:
-                    if "error" in answer:
-                        raise DeviceError(self._device, str(answer["error"]), str(answer.get("channel", "")))
-                    return answer, payload
-            if (left := by - time.monotonic()) <= 0:
-                raise TimeoutError
-            self._socket.settimeout(left)
+        answer: dict[str, Any] = {}
+        while answer.get("n") != self._number:
+            while (end := self._bytes.find(b"\n") + 1) == 0:
+                self._receive(by)
+            answer = decode(bytes(self._bytes[:end]))
+            size = answer.get("bytes", 0)
+            while len(self._bytes) < end + size:
+                self._receive(by)
+            payload = bytes(self._bytes[end : end + size])
+            del self._bytes[: end + size]
+        if "error" in answer:
+            raise DeviceError(self._device, str(answer["error"]), str(answer.get("channel", "")))
+        return answer, payload
+
+    def _receive(self, by: float) -> None:
+        if (left := by - time.monotonic()) <= 0:
+            raise TimeoutError
+        if len(self._bytes) > LONGEST_LINE + LONGEST:
+            raise ValueError("a message is longer than any that is sent")
+        self._socket.settimeout(left)
+        if not (piece := self._socket.recv(1 << 18)):
+            raise ConnectionResetError("the other side has closed the connection")
+        self._bytes += piece
 
     def close(self) -> None:
         """Close the connection; may be called again, also from another thread."""
@@ -130,7 +118,7 @@ class Link:
         self._socket.close()
 
 
-class MockClient:
+class MockClient(Driver):
     """A bench whose simulated plant runs in real time in a separate process (`pmabench_drivers.mock.server`).
 
     Channels, outputs, dump valve, digital input and options are those of the driver `mock`
@@ -141,27 +129,17 @@ class MockClient:
     """
 
     verified = "a simulation"
-
-    @classmethod
-    def check(cls, device: DeviceRecord) -> Iterable[tuple[tuple[str, ...], str]]:
-        """Errors of the options, each with its place; starts nothing."""
-        try:
-            _service, plant = split_service(device.name, device.options)
-        except DeviceError as error:
-            return [(("options",), error.message)]
-        if plant.get("plant") == PLATFORM:
-            return [(("options", "plant"), "a platform is simulated in virtual time only: driver mock")]
-        return problems(device, plant)
+    read_options = staticmethod(read_realtime)
+    _options: Options
 
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         if not isinstance(clock, RealClock):
             raise DeviceError(device.name, 'the driver mock-realtime needs a bench with "time: real"')
-        self._service, plant = split_service(device.name, device.options)
-        read_options(device.name, plant)
+        super().__init__(device, clock)
+        self._service = self._options.service
         if self._service.log:
             log = str(Path(self._service.log).absolute())
-            device = replace(device, options={**device.options, "log": log})
-        self._device, self._clock = device, clock
+            self._device = replace(device, options={**device.options, "log": log})
         self._address = parse_address(device.name, device.address)
         self._valves = {valve.output for valve in device.valves}
         self._link: Link | None = None

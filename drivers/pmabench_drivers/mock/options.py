@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any
 
 from pmabench.base.errors import DeviceError, did_you_mean
 from pmabench.bench.interface import DeviceRecord, OutputRecord
 from pmabench.model.overrides import Overrides
+from pmabench_drivers.shared.options import Place, Reader
 
+HERE: Place = ("options",)
 ANGLE = "angle"
 """Channel input of an arm: the angle of its end."""
 TORQUE = "torque"
@@ -62,7 +64,7 @@ BUILT_OF = {
 MUSCLES_OF = {JOINT: 2, PLATFORM: 3}
 E_STOP = "e_stop"
 """Digital input: high while the emergency stop is not pressed."""
-TEXT = {"plant", "preset", "free_end", "b_relax", "fce_eval", "reads", "end", "log", "hoses"}
+TEXTS, WHOLE = ("b_relax", "log"), ("seed", "faulty")
 CONTRACTORS = tuple(f"contractor-{length}" for length in (15, 20, 25, 30, 40))
 CHOICES = {
     "free_end": ("weights", "actuator"),
@@ -145,6 +147,18 @@ class SensorError:
 
 
 @dataclass(frozen=True)
+class Service:
+    """Options of the plant's own process, for the driver `mock-realtime`."""
+
+    start: bool = True
+    """Start the process if none listens at the device's address."""
+    idle: float = 30.0
+    """Time without a client after which it vents and ends [s]."""
+    log: str = ""
+    """File to which it appends the commands, as JSON lines; none by default."""
+
+
+@dataclass(frozen=True)
 class Options:
     """All options; numbers in SI."""
 
@@ -187,84 +201,116 @@ class Options:
     built: Mapping[str, float] = field(default_factory=dict)
     """Dimensions of a joint or a platform [SI], by the names of a bench file; assumed if left out."""
     overrides: Overrides = field(default_factory=Overrides)
-    """Given among the options by their own names."""
+    """Given among the options by their own names, as `service`."""
+    service: Service = field(default_factory=Service)
 
 
-@dataclass(frozen=True)
-class Service:
-    """Options of the plant's own process, for the driver `mock-realtime`; given among the others."""
-
-    start: bool = True
-    """Start the process if none listens at the device's address."""
-    idle: float = 30.0
-    """Time without a client after which it vents and ends [s]."""
-    log: str = ""
-    """File to which it appends the commands, as JSON lines; none by default."""
-    clock_ppm: float = 0.0
-    """Excess rate of the device's clock over bench time [ppm]."""
-    clock_offset: float = 0.0
-    """Time of the device's clock at bench time 0 [s]."""
-
-
-def read_options(device: str, given: Mapping[str, Any]) -> Options:
-    """Options checked by name and kind.
-
-    Raises
-    ------
-    DeviceError
-        For an unknown option, naming the most similar one, or an impossible value.
-    """
-    own = {*_names(Options)} - {"overrides", "numbers"}
-    changes = _names(Overrides)
-    values: dict[str, Any] = {}
-    overrides: dict[str, Any] = {}
-    for name, value in given.items():
-        if name == "faults":
-            values[name] = Faults(
-                **_values(device, value, _names(Faults), "no fault", "faults are given as {name: time in s}")
-            )
-        elif name == "built":
-            plant, shape = str(given.get("plant", "")), "built is given as {name: number in SI}"
-            says = f"the plant {plant} has nothing called"
-            values[name] = _values(device, value, BUILT_OF.get(plant, ()), says, shape)
-        elif name == "errors":
-            values[name] = _errors(device, value)
-        elif name == "plant" and isinstance(value, Mapping):
-            values.update(plant=str(value["file"]), numbers=value)
-        elif name in own:
-            values[name] = _value(device, name, value)
-        elif name in changes:
-            overrides[name] = _value(device, name, value)
-        else:
-            raise DeviceError(device, f'no option "{name}"{did_you_mean(name, [*own, *changes])}')
-    options = Options(**values, overrides=Overrides(**overrides))
-    _check_plant(device, options, overrides)
-    if options.dump_lag < 0 or not options.slow_vent > 0:
-        raise DeviceError(device, "option dump_lag needs a lag of at least 0 s, option slow_vent a factor above 0")
+def _read(device: DeviceRecord, reader: Reader, *, realtime: bool) -> Options:
+    own = set(_names(Options)) - {"numbers", "overrides", "service"}
+    served = _names(Service) if realtime else []
+    given = reader.keys(device.options, HERE, (*own, *_names(Overrides), *served))
+    numbers = given["plant"] if isinstance(given.get("plant"), Mapping) else None
+    plant = str(given.get("plant", Options.plant)) if numbers is None else str(numbers["file"])
+    built = reader.named(given.get("built", {}), (*HERE, "built"))
+    for name in built:
+        reader.known((*HERE, "built", name), f"the plant {plant} has nothing called", name, BUILT_OF.get(plant, ()))
+    faults = reader.keys(given.get("faults", {}), (*HERE, "faults"), _names(Faults))
+    plain = own - {"faults", "built", "errors"} - ({"plant"} if numbers is not None else set())
+    options = Options(
+        **_values(reader, given, HERE, plain),
+        **({} if numbers is None else {"plant": plant, "numbers": numbers}),
+        faults=Faults(**_values(reader, faults, (*HERE, "faults"), _names(Faults))),
+        errors=sensor_errors(reader, given.get("errors", {}), (*HERE, "errors")),
+        built=_values(reader, built, (*HERE, "built"), BUILT_OF.get(plant, ())),
+        overrides=Overrides(**_values(reader, given, HERE, _names(Overrides))),
+        service=Service(**_values(reader, given, HERE, served)),
+    )
+    _check_plant(reader, options, [name for name in given if name in _names(Overrides)])
+    if options.dump_lag < 0:
+        reader.fault((*HERE, "dump_lag"), "a lag of at least 0 s is expected")
+    for name, value in (("slow_vent", options.slow_vent), ("idle", options.service.idle)):
+        if not value > 0:
+            reader.fault((*HERE, name), f"a value above 0 is expected, not {value:g}")
+    _check_names(device, reader, options)
     return options
 
 
-def _check_plant(device: str, options: Options, overrides: Mapping[str, Any]) -> None:
+def read_options(device: DeviceRecord, reader: Reader) -> Options:
+    """Options of a device of the driver `mock`."""
+    options = _read(device, reader, realtime=False)
+    if (options.faults.dead_at, options.faults.mute_at) != (None, None):
+        reader.fault((*HERE, "faults"), "the faults dead_at and mute_at need the driver mock-realtime")
+    return options
+
+
+def read_realtime(device: DeviceRecord, reader: Reader) -> Options:
+    """Options of a device of the driver `mock-realtime`."""
+    options = _read(device, reader, realtime=True)
+    if options.plant == PLATFORM:
+        reader.fault((*HERE, "plant"), "a platform is simulated in virtual time only: driver mock")
+    return options
+
+
+def sensor_errors(reader: Reader, given: Any, place: Place) -> dict[str, SensorError]:
+    """Errors of channel inputs, by input."""
+    found, known = {}, _names(SensorError)
+    for name, item in reader.named(given, place).items():
+        if reader.known((*place, name), "no input", name, INPUTS):
+            error = reader.keys(item, (*place, name), known)
+            found[name] = SensorError(**_values(reader, error, (*place, name), known))
+    return found
+
+
+def _values(reader: Reader, given: Mapping[str, Any], place: Place, known: Collection[str]) -> dict[str, Any]:
+    """What can be read of the known names, in the order given."""
+    found = {name: _value(reader, given, name, place) for name in given if name in known}
+    return {name: value for name, value in found.items() if value is not None}
+
+
+def _value(reader: Reader, given: Mapping[str, Any], name: str, place: Place) -> Any:
+    if name in CHOICES:
+        return reader.choice(given, name, place, CHOICES[name], "") or None
+    if name in TEXTS:
+        return reader.text(given, name, place)
+    if name == "start":
+        return reader.flag(given, name, place, default=True)
+    number = reader.number(given, name, place, "a number in SI")
+    return int(number) if number is not None and name in WHOLE else number
+
+
+def _check_plant(reader: Reader, options: Options, overrides: Sequence[str]) -> None:
     law = options.plant if options.numbers is None else str(options.numbers["law"])
-    if law == "daerden" and options.free_end != "actuator":
-        way = "is for a driven free end; write free_end: actuator, too"
-        raise DeviceError(device, f"option plant: {options.plant} {way}")
-    if law == "contractor" and options.free_end == "weights" and options.numbers is not None:
+    driven = options.free_end == "actuator"
+    if law == "daerden" and not driven:
+        reader.fault((*HERE, "plant"), f"{options.plant} is for a driven free end; write free_end: actuator, too")
+    if law == "contractor" and not driven and options.numbers is not None:
         length = float(options.numbers["length"])
         if not FREE_LENGTHS[0] <= length <= FREE_LENGTHS[1]:
             known = f"{1e3 * FREE_LENGTHS[0]:g} to {1e3 * FREE_LENGTHS[1]:g} mm"
             why = f"a contractor with a free end is known for lengths of {known}, not for {1e3 * length:g} mm"
-            raise DeviceError(device, f"option plant: {why}; write free_end: actuator, or another length")
+            reader.fault((*HERE, "plant"), f"{why}; write free_end: actuator, or another length")
     count = MUSCLES_OF.get(law, options.faulty)
     if not 1 <= options.faulty <= count:
-        raise DeviceError(device, f"option faulty: the plant {law} has the muscles 1 to {count}, not {options.faulty}")
+        reader.fault((*HERE, "faulty"), f"the plant {law} has the muscles 1 to {count}, not {options.faulty}")
     if law == PLATFORM and options.preset != "bench":
         why = "without noise an accelerometer at rest counts as frozen; write preset: bench"
-        raise DeviceError(device, f"option preset: {why}")
-    if "parallel" in overrides and options.free_end != "actuator":
-        raise DeviceError(device, "option parallel is for a driven free end; write free_end: actuator, too")
-    if overrides and law in MUSCLES_OF:
-        raise DeviceError(device, f"option {next(iter(overrides))}: the plant {options.plant} has no use for it")
+        reader.fault((*HERE, "preset"), why)
+    if "parallel" in overrides and not driven:
+        reader.fault((*HERE, "parallel"), "is for a driven free end; write free_end: actuator, too")
+    for name in overrides if law in MUSCLES_OF else ():
+        reader.fault((*HERE, name), f"the plant {options.plant} has no use for it")
+
+
+def _check_names(device: DeviceRecord, reader: Reader, options: Options) -> None:
+    known, places = inputs_of(options.free_end, options.plant), outputs_of(options.free_end, options.plant)
+    named: list[tuple[Place, str, str, Sequence[str]]] = []
+    named += [(("channels", channel.name, "input"), "input", channel.input, known) for channel in device.channels]
+    named += [(("outputs", output.name, "output"), "output", output.output, places) for output in device.outputs]
+    there_are = VALVES_OF.get(options.plant, VALVES)
+    named += [(("outputs", valve.name, "output"), "valve", valve.output, there_are) for valve in device.valves]
+    named += [(("interlocks", each.name, "input"), "digital input", each.input, [E_STOP]) for each in device.interlocks]
+    for place, what, name, there in named:
+        reader.known(place, f"no {what}", name, there)
 
 
 def _names(kind: Any) -> list[str]:
@@ -295,26 +341,6 @@ def pressure_of(options: Options) -> str:
     return f"pressure_{options.faulty}" if options.plant in MUSCLES_OF else "pressure"
 
 
-def problems(device: DeviceRecord, own: Mapping[str, Any]) -> Iterator[tuple[tuple[str, ...], str]]:
-    """Errors of the plant's options `own` and of the names of inputs and outputs, each with its place."""
-    free_end, plant = str(own.get("free_end", "weights")), str(own.get("plant", ""))
-    try:
-        read_options(device.name, own)
-    except DeviceError as error:
-        yield ("options",), error.message
-    known, places = inputs_of(free_end, plant), outputs_of(free_end, plant)
-    named: list[tuple[str, str, str, str, Sequence[str]]] = []
-    named += [("channels", channel.name, "input", channel.input, known) for channel in device.channels]
-    named += [("outputs", output.name, "output", output.output, places) for output in device.outputs]
-    there_are = VALVES_OF.get(plant, VALVES)
-    named += [("outputs", valve.name, "valve", valve.output, there_are) for valve in device.valves]
-    named += [("interlocks", lock.name, "digital input", lock.input, (E_STOP,)) for lock in device.interlocks]
-    for kind, of, what, name, there in named:
-        if name not in there:
-            hint = did_you_mean(name, there) or f"; there is {', '.join(there)}"
-            yield (kind, of, "output" if kind == "outputs" else "input"), f'no {what} "{name}"{hint}'
-
-
 def output_of(device: DeviceRecord, name: str, *values: float) -> OutputRecord:
     """The output of this name; raises DeviceError if there is none, or one of `values` [device units] is not finite."""
     outputs = {output.output: output for output in device.outputs}
@@ -326,19 +352,6 @@ def output_of(device: DeviceRecord, name: str, *values: float) -> OutputRecord:
     return outputs[name]
 
 
-def split_service(device: str, given: Mapping[str, Any]) -> tuple[Service, dict[str, Any]]:
-    """The options of the process, checked, and all others unchanged."""
-    names = _names(Service)
-    start = given.get("start", True)
-    if not isinstance(start, bool):
-        raise DeviceError(device, f"option start: true or false is expected, not {start!r}")
-    values = {name: _value(device, name, given[name]) for name in names if name in given and name != "start"}
-    service = Service(start=start, **values)
-    if not service.idle > 0:
-        raise DeviceError(device, f"option idle: a time above 0 s is expected, not {service.idle:g}")
-    return service, {name: value for name, value in given.items() if name not in names}
-
-
 def fault_name(device: str, name: str) -> str:
     """The field of `Faults` for `burst` or `burst_at`."""
     known = _names(Faults)
@@ -346,40 +359,3 @@ def fault_name(device: str, name: str) -> str:
     if full not in known:
         raise DeviceError(device, f'no fault "{name}"{did_you_mean(full, known)}')
     return full
-
-
-def sensor_error(device: str, channel: str, given: Any) -> SensorError:
-    """The error of one channel input, checked."""
-    if channel not in INPUTS:
-        raise DeviceError(device, f'errors: no input "{channel}"{did_you_mean(channel, INPUTS)}')
-    shape = f"errors of {channel} are given as {{factor: ..., offset: ...}}"
-    return SensorError(**_values(device, given, _names(SensorError), "no error", shape))
-
-
-def _errors(device: str, given: Any) -> dict[str, SensorError]:
-    items = _mapping(device, given, "errors are given as {input: {factor: ..., offset: ...}}")
-    return {str(name): sensor_error(device, str(name), value) for name, value in items.items()}
-
-
-def _values(device: str, given: Any, known: Collection[str], says: str, shape: str) -> dict[str, Any]:
-    for name in _mapping(device, given, shape):
-        if name not in known:
-            raise DeviceError(device, f'{says} "{name}"{did_you_mean(str(name), known)}')
-    return {name: _value(device, name, value) for name, value in given.items()}
-
-
-def _mapping(device: str, given: Any, shape: str) -> Mapping[str, Any]:
-    if not isinstance(given, Mapping):
-        raise DeviceError(device, f"{shape}, not {given!r}")
-    return given
-
-
-def _value(device: str, name: str, value: Any) -> Any:
-    if name in TEXT:
-        allowed = CHOICES.get(name)
-        if not isinstance(value, str) or (allowed and value not in allowed):
-            raise DeviceError(device, f'option {name}: "{value}"{did_you_mean(str(value), allowed or ())}')
-        return value
-    if isinstance(value, bool) or not isinstance(value, int | float) or not value == value:
-        raise DeviceError(device, f"option {name}: a number in SI is expected, not {value!r}")
-    return int(value) if name in {"seed", "faulty"} else float(value)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.base.errors import DeviceError, did_you_mean
+from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import Block, ChannelRecord, DeviceRecord, Scale, Segment
 from pmabench.model.motion import NoiseSource
 from pmabench.model.regulator import Wave, constant, ramp, sine
@@ -186,27 +186,16 @@ class Sampled(ABC):
     def __init__(self, device: DeviceRecord, options: Options, sigma: Mapping[str, float], memory: float) -> None:
         self._name, self._options, self._keep_for = device.name, options, memory
         self.faults, self.errors = options.faults, dict(options.errors)
-        self._channels = [
-            Channel(record, sigma.get(self._input(record), 0.0), options.seed) for record in device.channels
-        ]
+        self._channels = [Channel(record, sigma.get(record.input, 0.0), options.seed) for record in device.channels]
         self._damage = Damage(self._channels, o.pressure_of(options))
         self._memory: deque[_Moment] = deque()
         self._rate, self._start_ns, self._due = 0.0, 0, 0
         self._given = 0
         """Samples up to this moment were collected [ns]."""
         self._pending: deque[Block] = deque(maxlen=BUFFER)
-        refuse_unknown(device.name, "digital input", [item.input for item in device.interlocks], (o.E_STOP,))
-        switched, known = [valve.output for valve in device.valves], o.VALVES_OF.get(options.plant, o.VALVES)
-        refuse_unknown(device.name, "output", switched, known)
         self._valves = Valves()
         for error in self.errors.values():
             self._check_error(error)
-
-    def _input(self, record: ChannelRecord) -> str:
-        known = o.inputs_of(self._options.free_end, self._options.plant)
-        if record.input not in known:
-            raise DeviceError(self._name, f'no input "{record.input}"{did_you_mean(record.input, known)}', record.name)
-        return record.input
 
     def _check_error(self, error: SensorError) -> None:
         if error.reads and error.reads not in {channel.record.input for channel in self._channels}:
@@ -235,9 +224,9 @@ class Sampled(ABC):
     def _settle(self) -> None:
         """Update the air for the present state of valves and faults."""
 
-    @abstractmethod
     def _at(self, time: float) -> dict[str, float]:
         """Quantity at each input at `time` [s], to which the plant is advanced."""
+        return {name: float(values[0]) for name, values in self._along(time, np.array([time])).items()}
 
     @abstractmethod
     def _along(self, until: float, times: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
@@ -421,13 +410,6 @@ def _parted(block: Block, moment: int) -> tuple[Block, Block | None]:
         for part in (slice(count), slice(count, None))
     )
     return due, later
-
-
-def refuse_unknown(device: str, word: str, names: list[str], known: tuple[str, ...]) -> None:
-    """Raise DeviceError if one of the names is not known."""
-    for name in names:
-        if name not in known:
-            raise DeviceError(device, f'no {word} "{name}" that can be switched or read{did_you_mean(name, known)}')
 
 
 def waves_of(segment: Segment, scale: Scale, now: float, limits: tuple[float, float]) -> tuple[Wave, ...]:

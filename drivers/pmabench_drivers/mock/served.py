@@ -16,6 +16,7 @@ from pmabench.base.errors import DeviceError, did_you_mean
 from pmabench.bench.interface import DeviceRecord, Identity, Load, Segment
 from pmabench_drivers.mock import MockBench
 from pmabench_drivers.mock import options as o
+from pmabench_drivers.shared.options import options_of
 
 EMPTY = 1e3
 """Gauge pressure below which the muscle counts as empty [Pa]."""
@@ -57,9 +58,7 @@ class _Bench(MockBench):
     """The mock at the moment of the present request; the server applies the faults of its link."""
 
     moment = 0.0
-
-    def _read_options(self) -> o.Options:
-        return o.read_options(self._device.name, o.split_service(self._device.name, self._device.options)[1])
+    read_options = staticmethod(o.read_realtime)
 
     def _now(self) -> float:
         return self.moment
@@ -76,7 +75,7 @@ class Served:
 
     def __init__(self, device: DeviceRecord, clock: RealClock) -> None:
         self.device, self.clock = device, clock
-        self.service = o.split_service(device.name, device.options)[0]
+        self.service = options_of(device, o.read_realtime).service
         self._bench = _Bench(device, clock)
         self.identity: Identity = self._bench.open()
         self.log = Log(self.service.log)
@@ -170,13 +169,10 @@ class Served:
             )
         block = self._bench.collect()
         shift = round((self.clock.start - asker.zero) * 1e9)
-        moment = np.asarray(block.time, dtype="<i8") + shift
-        if self.service.clock_ppm or self.service.clock_offset:
-            drift = np.rint(1e-6 * self.service.clock_ppm * moment).astype("<i8")
-            moment = moment + drift + round(self.service.clock_offset * 1e9)
+        moments = (np.asarray(block.time, dtype="<i8") + shift).astype("<i8")
         columns = [np.asarray(column, dtype="<f8").tobytes() for column in block.columns.values()]
         head = {"rows": len(block.time), "columns": list(block.columns)}
-        return head, b"".join([moment.astype("<i8").tobytes(), *columns])
+        return head, b"".join([moments.tobytes(), *columns])
 
     def _write(self, asker: Asker, question: Mapping[str, Any]) -> None:
         output, value = o.output_of(self.device, str(question["output"])), float(question["value"])
@@ -273,8 +269,11 @@ class Served:
             after = question.get("after", 0.0)
             simulation.fail(fault, None if after is None else simulation.time + float(after))
             self.log.write("fault", fault=fault.removesuffix("_at"), after=after)
-        for channel, error in question.get("errors", {}).items():
-            simulation.disturb(channel, None if error is None else o.sensor_error(name, channel, error))
+        errors = question.get("errors", {})
+        given = {channel: error for channel, error in errors.items() if error is not None}
+        read = options_of(self.device, lambda _, reader: o.sensor_errors(reader, given, ("errors",)))
+        for channel, error in errors.items():
+            simulation.disturb(channel, read.get(channel))
             self.log.write("fault", errors={channel: error})
 
     def _restart(self) -> None:

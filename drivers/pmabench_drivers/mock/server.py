@@ -12,7 +12,7 @@ Role `rescue` is a client's second connection to the outputs. Then, as in the dr
 `write` and `rescue` (`output`, `value`), `read_back`, `halt`, `is_on` (`output`), `follow` (`output`, `segment` on the
 client's bench time), `switch` (`output`, `on`), `level` (`name`), `place` (`force`, `mass`), `start` (`rate`), `stop`,
 `collect`, `arm` (`seconds`), `feed`, `disarm`, `held`. The result is in `value`. `collect` answers
-`{"rows": r, "columns": [names]}` and as raw bytes the r times (int64, ns on the device's clock), then each column
+`{"rows": r, "columns": [names]}` and as raw bytes the r times (int64, ns on the client's bench time), then each column
 (float64, all little-endian). A pressure set-point beyond 0 to 1000 kPa is taken as the end of that range.
 
 Watchdog: once armed, and without a request on any connection for its time, it de-energises the valves and sets the
@@ -43,7 +43,7 @@ from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError, PmaError, invalid
 from pmabench.base.system import ENGINE, real_time
 from pmabench.bench.interface import DeviceRecord, device_from
-from pmabench_drivers.mock.client import Inbox, encode, parse_address
+from pmabench_drivers.mock.client import LONGEST_LINE, decode, encode, parse_address
 
 if TYPE_CHECKING:
     from pmabench_drivers.mock.served import Asker
@@ -59,7 +59,7 @@ class _Connection:
 
     def __init__(self, link: socket.socket, asker: Asker) -> None:
         self.link, self.asker = link, asker
-        self.inbox, self.out = Inbox(), bytearray()
+        self.inbox, self.out = b"", bytearray()
 
 
 class Server:
@@ -148,8 +148,11 @@ class Server:
             if not (piece := connection.link.recv(1 << 18)):
                 self._drop(connection)
                 return
-            for question, _ in connection.inbox.feed(piece):
-                self._hear(connection, question)
+            *lines, connection.inbox = (connection.inbox + piece).split(b"\n")
+            for line in lines:
+                self._hear(connection, decode(line))
+            if len(connection.inbox) > LONGEST_LINE:
+                self._drop(connection)
         except BlockingIOError:
             return
         except (OSError, ValueError):

@@ -346,14 +346,6 @@ class JointSimulation(Sampled):
 
     # -- what the channels are exposed to --------------------------------------------------------------------------
 
-    def _at(self, time: float) -> dict[str, float]:
-        self._plant.advance(time)
-        self._wanted.value(time)
-        values = {name: supply.value(time) for name, supply in zip(o.PRESSURES, self._plant.supplies, strict=True)}
-        values |= {f"{name}_set": self.setpoint(name) for name in o.PRESSURES}
-        values |= {o.ANGLE: self._plant.angle, o.TORQUE: self._plant.torque(), "angle_set": self.setpoint(o.ANGLE)}
-        return values | {"supply": self._supply()}
-
     def _along(self, until: float, times: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
         supply = self._supply()
         supplies = self._plant.supplies

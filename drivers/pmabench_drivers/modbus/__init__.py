@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
@@ -19,8 +19,7 @@ from pmabench.base.errors import DeviceError, NotSent
 from pmabench.bench.interface import COMPUTER, DeviceRecord, Identity
 from pmabench_drivers.modbus import registers as r
 from pmabench_drivers.shared.device import Controlled, Polled
-from pmabench_drivers.shared.link import JOIN, PATIENCE, Still, Unanswered, always, opened, who
-from pmabench_drivers.shared.options import Reader
+from pmabench_drivers.shared.link import JOIN, Still, Unanswered, always, opened, who
 
 if TYPE_CHECKING:
     from pmabench_drivers.modbus.adapter import Line
@@ -122,7 +121,7 @@ class ModbusDevice(Watched, Controlled):
 
     emulator = "pmabench_drivers.modbus.emulated"
     read_options = staticmethod(r.read_options)
-    _options: r.Options
+    _options: r.Mapped
 
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         super().__init__(device, clock)
@@ -145,22 +144,6 @@ class ModbusDevice(Watched, Controlled):
     def map_schema(cls) -> dict[str, Any]:
         """The JSON Schema of the file that the option `map` names."""
         return r.map_schema()
-
-    @classmethod
-    def lacks(cls, device: DeviceRecord) -> Iterator[str]:
-        """A serial line on which, after a lost answer, the run ends before the device is read again."""
-        if not device.address.startswith("/"):
-            return
-        map_ = cls.read_options(device, Reader()).map
-        period = 1 / device.fastest if device.fastest else 0.0
-        least = PATIENCE - map_.timeout - period
-        if map_.slowest > least:
-            yield (
-                f"no second chance on the serial line of {device.name}: after one lost answer nothing is read for "
-                f"{1e3 * (map_.timeout + map_.slowest + period):.0f} ms (timeout, slowest, and the time to the next "
-                f"sample), and a run ends after {1e3 * PATIENCE:g} ms without; remedy: "
-                f"a slowest of at most {1e3 * max(least, 0.0):.0f} ms, where the device's manual allows it"
-            )
 
     # -- life -----------------------------------------------------------------------------------------------------
 
@@ -196,7 +179,9 @@ class ModbusDevice(Watched, Controlled):
         from pmabench_drivers.modbus.adapter import Line
 
         options, map_ = self._options, self._map
-        serial = {"baudrate": options.baud, "parity": options.parity, "stopbits": options.stop_bits}
+        serial = {}
+        if isinstance(options, r.Options):
+            serial = {"baudrate": options.baud, "parity": options.parity, "stopbits": options.stop_bits}
         return Line(self._device.name, self._device.address, map_.unit_id, map_.timeout, map_.slowest, serial)
 
     def _identify(self, item: r.Register | str, deadline: float) -> str:
@@ -225,13 +210,13 @@ class ModbusDevice(Watched, Controlled):
         """The map's rate, or the rate that the line allows beside the guard's requests."""
         takes, device = self._opened().quickest, self._device
         if not self._spans or takes == math.inf:
-            return self._map.rate
+            return self._options.rate
         free = 1.0
         if device.guarded:
             look = len(device.interlocks) + (2 if self._watchdog is not None and self._watchdog.heartbeat else 0)
             held = len(self._reported) + len(device.outputs) + len(device.valves)
             free -= min(PART, takes * look / LOOK) + min(2 * PART, takes * held / SUPERVISED)
-        return min(self._map.rate, free / (len(self._spans) * takes))
+        return min(self._options.rate, free / (len(self._spans) * takes))
 
     def _tick(self) -> None:
         """One turn of the thread: the next step of each segment, then the inputs."""

@@ -60,6 +60,14 @@ EXCEPTIONS = {
 NO_REFUSAL = (5, 6, 10, 11)
 """Of those, the ones after which it may be carried out, or the next time."""
 
+BUSY, AGAIN = 6, 0.02
+"""Exception of a device that does something else first; time after which it is asked again [s]."""
+
+
+class Busy(DeviceError):
+    """The device answers that it is busy: ask again later."""
+
+
 CALLS = {
     "holding": "read_holding_registers",
     "input": "read_input_registers",
@@ -307,6 +315,29 @@ class Line:
         *,
         sample: bool = False,
     ) -> Any:
+        """As `_ask_once`; sent again while the device answers that it is busy, as the specification asks for.
+
+        Neither a sample nor a step of a ramp: the next one comes soon enough. A value that is written twice is the
+        same value.
+        """
+        while True:
+            try:
+                return self._ask_once(send, wanted, deadline, what, still, sample=sample)
+            except Busy:
+                if sample or still is not always or monotonic() + AGAIN >= deadline:
+                    raise
+                sleep(AGAIN)
+
+    def _ask_once(
+        self,
+        send: Callable[[], Any],
+        wanted: Signature,
+        deadline: float,
+        what: str,
+        still: Still = always,
+        *,
+        sample: bool = False,
+    ) -> Any:
         """Send one request and return its answer; errors of the library are raised as DeviceError."""
         if not sample and still is always:
             self.called = monotonic()
@@ -342,7 +373,7 @@ class Line:
                 code = answer.exception_code
                 words = EXCEPTIONS.get(code, "which the specification does not define")
                 certain = not owed and wanted[0] > LAST_READ and code not in NO_REFUSAL
-                kind = NotSent if certain else DeviceError
+                kind = NotSent if certain else Busy if code == BUSY else DeviceError
                 raise kind(self._device, f"answers with exception {code}: {words}", what)
             return answer
 

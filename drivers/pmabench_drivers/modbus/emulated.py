@@ -13,7 +13,7 @@ from pmabench.bench.interface import DeviceRecord
 from pmabench_drivers.emulator.faults import CommandLog
 from pmabench_drivers.emulator.modbus_server import ADDRESS, VALUE, Refused, Request, RtuDevice, TcpDevice
 from pmabench_drivers.emulator.plant import RealPlant, Wiring
-from pmabench_drivers.modbus.registers import TYPES, Options, Register, WatchdogRegisters, decode, encode, read_options
+from pmabench_drivers.modbus.registers import TYPES, Mapped, Register, WatchdogRegisters, decode, encode, read_options
 from pmabench_drivers.shared.options import options_of
 
 
@@ -29,7 +29,7 @@ def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> TcpDevice 
 class Registers:
     """One device on the plant."""
 
-    def __init__(self, device: DeviceRecord, options: Options, plant: RealPlant, log: CommandLog) -> None:
+    def __init__(self, device: DeviceRecord, options: Mapped, plant: RealPlant, log: CommandLog) -> None:
         self.device, self._map, self._plant, self._log = device, options.map, plant, log
         self._lock = threading.Lock()
         self._held: dict[tuple[str, int], int] = {}

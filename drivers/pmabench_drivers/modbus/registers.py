@@ -12,13 +12,13 @@ import json
 import math
 import struct
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib.resources import files
 from typing import Any
 
 from pmabench.bench.interface import DeviceRecord, OutputRecord
-from pmabench_drivers.shared.options import BAUDS, PARITIES, Place, Reader
+from pmabench_drivers.shared.options import BAUDS, PARITIES, Place, Reader, option
 
 TABLES = ("holding", "input", "coil", "discrete")
 BIT_TABLES = ("coil", "discrete")
@@ -63,8 +63,8 @@ class Register:
 class WatchdogRegisters:
     """Registers of the device's own watchdog: a time, a trigger or none, and a heartbeat or none."""
 
-    timeout: Register
-    resolution: float
+    timeout: Register = Register("timeout", "holding", 0)
+    resolution: float = option(Reader.quantity, "time", 1e-3, 1e-6, 60.0)
     """Time of one count [s]."""
     trigger: Register | None = None
     on: float = 1.0
@@ -77,14 +77,14 @@ class WatchdogRegisters:
 class RegisterMap:
     """Description of one kind of device."""
 
-    unit_id: int = 1
-    timeout: float = 0.1
+    unit_id: int = option(Reader.whole, 0, 255, 1)
+    timeout: float = option(Reader.quantity, "time", 0.1, 0.002, 0.2)
     """Longest wait for an answer [s]."""
-    slowest: float = 1.0
+    slowest: float = option(Reader.quantity, "time", 1.0, 0.0, 10.0)
     """Longest time after which the device may still answer an old request [s]; matters on serial lines."""
-    rate: float = 100.0
+    rate: float = option(Reader.quantity, "frequency", 100.0, 0.1, 1000.0)
     """Highest rate at which the device is polled [Hz]."""
-    write_single: bool = True
+    write_single: bool = option(Reader.flag, default=True)
     """Whether the device has the functions that write a single register or coil, 5 and 6."""
     identity: Mapping[str, Register | str] = field(default_factory=dict)
     inputs: Mapping[str, Register] = field(default_factory=dict)
@@ -179,50 +179,47 @@ def spans(registers: Iterable[Register]) -> list[Span]:
 
 IDENTITY = ("maker", "model", "serial", "firmware", "constant")
 REGISTER_KEYS = ("table", "address", "type", "words", "bit", "length", "expect")
-MAP_KEYS = (
-    *("schema", "name", "source", "unit_id", "words", "timeout", "slowest", "rate", "write_single"),
-    *("identity", "inputs", "outputs", "watchdog", "uptime"),
-)
+MAP_KEYS = ("schema", "name", "source", "words", "identity", "inputs", "outputs", "watchdog", "uptime")
 UPTIMES = ("uint32", "int32")
 """Types of a number that only increases until a restart."""
 HIGH, LOW = "high-first", "low-first"
 
 
 @dataclass(frozen=True)
-class Options:
-    """Options of the driver `modbus` for a device."""
+class Mapped:
+    """Options of a device that has a map."""
 
     map: RegisterMap = field(default_factory=RegisterMap)
-    baud: int = 19200
-    parity: str = "N"
-    stop_bits: int = 1
-
-    @property
-    def rate(self) -> float:
-        """Highest rate at which the device is polled [Hz]."""
-        return self.map.rate
+    rate: float = 100.0
+    """Highest rate at which the device is polled [Hz]."""
 
 
-def read_options(device: DeviceRecord, reader: Reader) -> Options:
+@dataclass(frozen=True)
+class Options(Mapped):
+    """Options of the driver `modbus` for a device."""
+
+    baud: int = option(Reader.one_of, BAUDS, 19200)
+    parity: str = option(Reader.mapped, PARITIES, "none")
+    stop_bits: int = option(Reader.whole, 1, 2, 1)
+
+
+def read_options(device: DeviceRecord, reader: Reader) -> Mapped:
     """Options of a device; also checks the names that its channels, outputs, valves and interlocks use."""
-    given = reader.keys(device.options, ("options",), ("map", "baud", "parity", "stop_bits"), ("map",))
+    options, given = reader.options(Options, device.options, ("options",), ("map",), ("map",))
     if not device.address.startswith("/"):
         reader.host(device, "192.168.0.10:502", other=' or the path of a serial port ("/dev/ttyUSB0")')
     map_ = _read_map(given.get("map", {}), ("options", "map"), reader)
-    baud = reader.one_of(given, "baud", ("options",), BAUDS, 19200)
-    parity = PARITIES[reader.choice(given, "parity", ("options",), PARITIES, "none")]
-    stop_bits = reader.whole(given, "stop_bits", ("options",), 1, 2, 1)
     if map_.inputs or map_.outputs:
         _names(device, map_, reader)
-    return Options(map_, baud, parity, stop_bits)
+    return replace(options, map=map_, rate=map_.rate)
 
 
 def _read_map(data: Any, place: Place, reader: Reader) -> RegisterMap:
-    given = reader.keys(data, place, MAP_KEYS, ("inputs",) if "outputs" not in (data or {}) else ())
+    needed = ("inputs",) if "outputs" not in (data or {}) else ()
+    plain, given = reader.options(RegisterMap, data, place, MAP_KEYS, needed)
     reader.choice(given, "schema", place, ("pmabench.registers/1",), "pmabench.registers/1")
     for key in ("name", "source"):
         reader.text(given, key, place, longest=400)
-    base = RegisterMap()
     words = reader.choice(given, "words", place, (HIGH, LOW), HIGH)
 
     def registers(key: str, items: Mapping[str, Any]) -> dict[str, Any]:
@@ -234,12 +231,8 @@ def _read_map(data: Any, place: Place, reader: Reader) -> RegisterMap:
     said = reader.keys(given.get("identity", {}), (*place, "identity"), IDENTITY)
     asked = registers("identity", {name: item for name, item in said.items() if not isinstance(item, str)})
     watchdog = given.get("watchdog")
-    return RegisterMap(
-        unit_id=reader.whole(given, "unit_id", place, 0, 255, base.unit_id),
-        timeout=reader.quantity(given, "timeout", place, "time", base.timeout, 0.002, 0.2),
-        slowest=reader.quantity(given, "slowest", place, "time", base.slowest, 0.0, 10.0),
-        rate=reader.quantity(given, "rate", place, "frequency", base.rate, 0.1, 1000.0),
-        write_single=reader.flag(given, "write_single", place, default=True),
+    return replace(
+        plain,
         identity={**said, **asked},
         inputs=named("inputs"),
         outputs=named("outputs"),
@@ -291,7 +284,8 @@ def _register(name: str, data: Any, place: Place, reader: Reader, usual: str, us
 
 
 def _watchdog(data: Any, place: Place, reader: Reader, usual: str) -> WatchdogRegisters:
-    given = reader.keys(data, place, ("timeout", "resolution", "trigger", "on", "off", "heartbeat"), ("timeout",))
+    more = ("timeout", "trigger", "on", "off", "heartbeat")
+    plain, given = reader.options(WatchdogRegisters, data, place, more, ("timeout",))
 
     def register(key: str) -> Register:
         return _register(key, given.get(key, {}), (*place, key), reader, usual, "outputs")
@@ -308,9 +302,9 @@ def _watchdog(data: Any, place: Place, reader: Reader, usual: str) -> WatchdogRe
             encode(trigger, value)
         except ValueError as error:
             reader.fault((*place, key), str(error))
-    return WatchdogRegisters(
+    return replace(
+        plain,
         timeout=register("timeout"),
-        resolution=reader.quantity(given, "resolution", place, "time", 1e-3, 1e-6, 60.0),
         trigger=trigger,
         on=1.0 if on is None else on,
         off=0.0 if off is None else off,

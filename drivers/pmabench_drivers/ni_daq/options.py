@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 from pmabench.bench.interface import DeviceRecord
-from pmabench_drivers.shared.options import Place, Reader
+from pmabench_drivers.shared.options import Place, Reader, option
 
 HERE = ("options",)
 TERMINALS = ("RSE", "NRSE", "DIFF")
@@ -46,13 +47,23 @@ class Output:
     """Resolution in the bench file [V]."""
 
 
+def _server(reader: Reader, given: Mapping[str, Any], key: str, place: Place) -> str:
+    """`host:port`, with the default port if none is given."""
+    text = reader.text(given, key, place)
+    match = _SERVER.fullmatch(text)
+    if text and (match is None or int(match[2] or PORT) > 65535):
+        reader.fault((*place, key), f'HOST or HOST:PORT is expected, for instance "192.168.0.30:{PORT}"')
+        return ""
+    return f"{match[1]}:{match[2] or PORT}" if match else ""
+
+
 @dataclass(frozen=True)
 class Options:
     """Options of one device."""
 
     device: str = ""
     """Its name in NI-DAQmx."""
-    server: str = ""
+    server: str = option(_server)
     """`host:port` of NI's gRPC server; empty if NI-DAQmx is on this computer."""
     inputs: Mapping[str, Input] = field(default_factory=dict)
     """Channel of the bench -> its input."""
@@ -65,7 +76,7 @@ class Options:
 
 def read_options(device: DeviceRecord, reader: Reader) -> Options:
     """Options of a device; also checks the names that its channels, outputs, valves and interlocks use."""
-    given = reader.keys(device.options, HERE, ("server", "terminals", "ranges"))
+    options, given = reader.options(Options, device.options, HERE, ("terminals", "ranges"))
     if not _NAME.fullmatch(device.address):
         reader.fault(("address",), f'the name in NI-DAQmx is expected, for instance "Dev1", not "{device.address}"')
     terminals = reader.choices(given, "terminals", HERE, TERMINALS)
@@ -91,24 +102,14 @@ def read_options(device: DeviceRecord, reader: Reader) -> Options:
             'give "no_watchdog" with who accepts it, and a normally-open dump valve that needs a live signal',
         )
     reader.lines(device, LINES, "; known: port0/line0 to port1/line7")
-    return Options(
-        device.address,
-        _server(given, reader),
-        inputs,
-        _outputs(device, reader),
-        tuple(valve.output for valve in device.valves),
-        tuple(lock.input for lock in device.interlocks),
+    return replace(
+        options,
+        device=device.address,
+        inputs=inputs,
+        outputs=_outputs(device, reader),
+        valves=tuple(valve.output for valve in device.valves),
+        levels=tuple(lock.input for lock in device.interlocks),
     )
-
-
-def _server(given: Mapping[str, object], reader: Reader) -> str:
-    """`host:port`, with the default port if none is given."""
-    text = reader.text(given, "server", HERE)
-    match = _SERVER.fullmatch(text)
-    if text and (match is None or int(match[2] or PORT) > 65535):
-        reader.fault((*HERE, "server"), f'HOST or HOST:PORT is expected, for instance "192.168.0.30:{PORT}"')
-        return ""
-    return f"{match[1]}:{match[2] or PORT}" if match else ""
 
 
 def _each_once(device: DeviceRecord, inputs: Mapping[str, Input], reader: Reader) -> None:

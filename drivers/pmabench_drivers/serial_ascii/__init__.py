@@ -12,9 +12,10 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import combinations
 from time import monotonic
+from typing import Any
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
@@ -22,7 +23,7 @@ from pmabench.bench.interface import COMPUTER, Block, ChannelRecord, DeviceRecor
 from pmabench_drivers.shared import serial_port as sp
 from pmabench_drivers.shared.device import Polled
 from pmabench_drivers.shared.link import JOIN, Flow, opened, who
-from pmabench_drivers.shared.options import BAUDS, PARITIES, Reader
+from pmabench_drivers.shared.options import BAUDS, PARITIES, Place, Reader, option
 
 LONGEST_PATTERN = 300
 MOST_SHARED = 3
@@ -38,10 +39,7 @@ _TOKEN = re.compile(
 _QUANTIFIER = re.compile(r"(?:[*+?]|\{(\d{0,3})(,?)(\d{0,3})\})\??")
 _PRINTABLE = [chr(code) for code in (9, 10, 13, *range(32, 127))]
 _NUMBER = re.compile(r"([+-]?)\s*(\d{1,40}(?:\.\d{0,40})?|\.\d{1,40})", re.ASCII)
-KEYS = (
-    *("baud", "data_bits", "parity", "stop_bits", "poll", "pattern", "terminator", "timeout", "slowest", "rate"),
-    *("unit", "good_status", "over_range", "errors", "ask_identity", "emulate"),
-)
+EMULATED_LINE = "%.3f\r"
 _EMULATED = re.compile(r"[^%]*%[+\- 0]*\d{0,2}(?:\.\d{1,2})?f[^%]*")
 
 
@@ -104,85 +102,76 @@ def number(text: str, sign: str = "") -> float:
     return float(f"{sign.strip() or found[1]}{found[2]}")
 
 
+def _pattern(reader: Reader, given: Mapping[str, Any], key: str, place: Place) -> re.Pattern[str]:
+    text = reader.text(given, key, place, longest=1000)
+    if problem := pattern_problem(text) if text else "":
+        reader.fault((*place, key), problem)
+    return re.compile(text if text and not problem else "(?P<value>.*)")
+
+
+def _bytes(reader: Reader, given: Mapping[str, Any], key: str, place: Place, default: str = "") -> bytes:
+    text = reader.text(given, key, place, default, longest=40)
+    try:
+        return text.encode("ascii")
+    except UnicodeEncodeError:
+        reader.fault((*place, key), "only ASCII characters go over the wire")
+        return b""
+
+
+def _meanings(reader: Reader, given: Mapping[str, Any], key: str, place: Place) -> Mapping[str, str]:
+    items = given.get(key, {})
+    if isinstance(items, Mapping) and all(isinstance(item, str) for item in items.values()):
+        return dict(items)
+    reader.fault((*place, key), "texts and what they mean are expected")
+    return {}
+
+
+def _line(reader: Reader, given: Mapping[str, Any], key: str, place: Place) -> str:
+    line = reader.text(given, key, place, EMULATED_LINE)
+    if _EMULATED.fullmatch(line):
+        return line
+    reader.fault((*place, key), 'a line with one number as printf writes it is expected, as "%+8.2f N\\r"')
+    return EMULATED_LINE
+
+
 @dataclass(frozen=True)
 class Options:
     """Options of the driver `serial-ascii` for an indicator; times in s, rates in Hz."""
 
-    pattern: re.Pattern[str] = re.compile("(?P<value>.*)")
-    baud: int = 9600
-    data_bits: int = 8
-    parity: str = "N"
-    stop_bits: int = 1
-    poll: bytes = b""
+    pattern: re.Pattern[str] = option(_pattern)
+    baud: int = option(Reader.one_of, BAUDS, 9600)
+    data_bits: int = option(Reader.whole, 7, 8, 8)
+    parity: str = option(Reader.mapped, PARITIES, "none")
+    stop_bits: int = option(Reader.whole, 1, 2, 1)
+    poll: bytes = option(_bytes)
     """Request for one line; empty if the indicator sends by itself."""
-    terminator: bytes = b"\r"
-    timeout: float = 0.15
-    slowest: float = 0.5
+    terminator: bytes = option(_bytes, "\r")
+    timeout: float = option(Reader.quantity, "time", 0.15, 0.005, 0.18)
+    slowest: float = option(Reader.quantity, "time", 0.5, 0.0, 10.0)
     """Longest time after which a requested line may still arrive [s]."""
-    rate: float = 10.0
+    rate: float = option(Reader.quantity, "frequency", 10.0, 0.1, 2000.0)
     """Lines a second: highest polling rate, or rate at which it sends by itself."""
-    unit: str = ""
+    unit: str = option(Reader.text, longest=20)
     """Unit as the indicator writes it; empty: as in the bench."""
-    good_status: tuple[str, ...] = ()
-    over_range: tuple[str, ...] = ("OL", "------")
-    errors: Mapping[str, str] = field(default_factory=dict)
+    good_status: tuple[str, ...] = option(Reader.texts)
+    over_range: tuple[str, ...] = option(Reader.texts, ("OL", "------"))
+    errors: Mapping[str, str] = option(_meanings)
     """Lines that report a fault -> meaning."""
-    ask_identity: bytes = b""
-    emulate: str = "%.3f\r"
+    ask_identity: bytes = option(_bytes)
+    emulate: str = option(_line)
     """For the emulator: printf format of a line."""
 
 
 def read_options(device: DeviceRecord, reader: Reader) -> Options:
     """Options of a device; also checks the inputs that its channels use."""
-    place, base = ("options",), Options()
-    given = reader.keys(device.options, place, KEYS, ("pattern", "rate"))
+    options, given = reader.options(Options, device.options, ("options",), needed=("pattern", "rate"))
     reader.port(device, "/dev/ttyUSB0")
-    text = reader.text(given, "pattern", place, longest=1000)
-    problem = pattern_problem(text) if text else ""
-    if problem:
-        reader.fault((*place, "pattern"), problem)
-    pattern = re.compile(text) if text and not problem else base.pattern
-    errors = given.get("errors", {})
-    if not isinstance(errors, Mapping) or not all(isinstance(v, str) for v in errors.values()):
-        reader.fault((*place, "errors"), "texts and what they mean are expected")
-        errors = {}
-    if not (terminator := _bytes(given, "terminator", reader, "\r")):
-        reader.fault((*place, "terminator"), "what ends a line is expected")
-    line = reader.text(given, "emulate", place, base.emulate)
-    if not _EMULATED.fullmatch(line):
-        reader.fault((*place, "emulate"), 'a line with one number as printf writes it is expected, as "%+8.2f N\\r"')
-        line = base.emulate
-    options = Options(
-        pattern=pattern,
-        baud=reader.one_of(given, "baud", place, BAUDS, base.baud),
-        data_bits=reader.whole(given, "data_bits", place, 7, 8, base.data_bits),
-        parity=PARITIES[reader.choice(given, "parity", place, PARITIES, "none")],
-        stop_bits=reader.whole(given, "stop_bits", place, 1, 2, base.stop_bits),
-        poll=_bytes(given, "poll", reader, ""),
-        terminator=terminator or b"\r",
-        timeout=reader.quantity(given, "timeout", place, "time", base.timeout, 0.005, 0.18),
-        slowest=reader.quantity(given, "slowest", place, "time", base.slowest, 0.0, 10.0),
-        rate=reader.quantity(given, "rate", place, "frequency", base.rate, 0.1, 2000.0),
-        unit=reader.text(given, "unit", place, longest=20),
-        good_status=reader.texts(given, "good_status", place),
-        over_range=reader.texts(given, "over_range", place) if "over_range" in given else base.over_range,
-        errors=dict(errors),
-        ask_identity=_bytes(given, "ask_identity", reader, ""),
-        emulate=line,
-    )
-    if options.good_status and "status" not in pattern.groupindex:
-        reader.fault((*place, "good_status"), 'the pattern has no group "status"')
-    _channels(device, options, reader, known=bool(text) and not problem)
+    if not options.terminator:
+        reader.fault(("options", "terminator"), "what ends a line is expected")
+    if options.good_status and "status" not in options.pattern.groupindex:
+        reader.fault(("options", "good_status"), 'the pattern has no group "status"')
+    _channels(device, options, reader, known=options.pattern.pattern == given.get("pattern"))
     return options
-
-
-def _bytes(given: Mapping[str, object], key: str, reader: Reader, default: str) -> bytes:
-    text = reader.text(given, key, ("options",), default, longest=40)
-    try:
-        return text.encode("ascii")
-    except UnicodeEncodeError:
-        reader.fault(("options", key), "only ASCII characters go over the wire")
-        return b""
 
 
 def _channels(device: DeviceRecord, options: Options, reader: Reader, *, known: bool) -> None:

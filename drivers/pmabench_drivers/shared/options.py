@@ -8,13 +8,15 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import field, fields
 from ipaddress import ip_address
-from typing import Any, TypeVar
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from pmabench.base.errors import DeviceError, did_you_mean
 from pmabench.bench.interface import DeviceRecord
 
 T = TypeVar("T")
+P = ParamSpec("P")
 Place = tuple[str | int, ...]
 """Keys from the top of the bench file (`("channels", "pressure", "input")`) or of the device (`("options", "map")`)."""
 
@@ -38,6 +40,14 @@ class Reader:
     def fault(self, place: Place, message: str) -> None:
         """Note a problem."""
         self.problems.append((place, message))
+
+    def options(
+        self, kind: type[T], value: Any, place: Place, more: Collection[str] = (), needed: Collection[str] = ()
+    ) -> tuple[T, Mapping[str, Any]]:
+        """A record of `kind` with its fields made by `option`, and the mapping; `more`: keys that the caller reads."""
+        declared = {item.name: item.metadata["read"] for item in fields(kind) if "read" in item.metadata}  # type: ignore[arg-type]
+        given = self.keys(value, place, (*declared, *more), needed)
+        return kind(**{name: read(self, given, name, place) for name, read in declared.items()}), given
 
     def keys(self, value: Any, place: Place, known: Collection[str], needed: Collection[str] = ()) -> Mapping[str, Any]:
         """A mapping with known keys only, and with all needed ones."""
@@ -67,9 +77,9 @@ class Reader:
             return default
         return value
 
-    def texts(self, given: Mapping[str, Any], key: str, place: Place) -> tuple[str, ...]:
+    def texts(self, given: Mapping[str, Any], key: str, place: Place, default: tuple[str, ...] = ()) -> tuple[str, ...]:
         """A list of texts."""
-        value = given.get(key, ())
+        value = given.get(key, default)
         if not isinstance(value, list | tuple) or not all(isinstance(item, str) and item for item in value):
             self.fault((*place, key), f"a list of texts is expected, not {_shown(value)}")
             return ()
@@ -82,6 +92,10 @@ class Reader:
             self.fault((*place, key), f"{_shown(value)} is not known here{did_you_mean(str(value), options)}")
             return default
         return str(value)
+
+    def mapped(self, given: Mapping[str, Any], key: str, place: Place, known: Mapping[str, T], default: str) -> T:
+        """What belongs to one of the known words."""
+        return known[self.choice(given, key, place, known, default)]
 
     def choices(self, given: Mapping[str, Any], key: str, place: Place, known: Iterable[str]) -> dict[str, str]:
         """One of the known words for each name chosen by the user; a wrong one is replaced by the first."""
@@ -117,7 +131,7 @@ class Reader:
         """Whether a name is known; if not, notes a problem that begins with `says` and ends with `more`."""
         if name in (names := list(known)):
             return True
-        self.fault(place, f'{says} "{name}"{did_you_mean(name, names)}{more}')
+        self.fault(place, f'{says} "{name}"{did_you_mean(str(name), names)}{more}')
         return False
 
     def lines(self, device: DeviceRecord, numbers: Mapping[str, int], more: str) -> None:
@@ -156,12 +170,12 @@ class Reader:
         if device.watchdog and not shortest <= device.watchdog <= longest:
             self.fault(("watchdog",), f"{who} waits {shortest:g} to {longest:g} s, not {device.watchdog:g} s")
 
-    def number(self, given: Mapping[str, Any], key: str, place: Place) -> float | None:
+    def number(self, given: Mapping[str, Any], key: str, place: Place, what: str = "a number") -> float | None:
         """A finite number, also as `"0x1F"`; None if there is none."""
         value = _unhexed(given.get(key))
         if value is None or (isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)):
             return None if value is None else float(value)
-        self.fault((*place, key), f"a number is expected, not {_shown(value)}")
+        self.fault((*place, key), f"{what} is expected, not {_shown(value)}")
         return None
 
     def quantity(
@@ -181,6 +195,21 @@ class Reader:
             self.fault((*place, key), f"{value} is outside {low:g} to {high:g} {next(iter(UNITS[kind]))}")
             return default
         return number
+
+
+def option(
+    read: Callable[Concatenate[Reader, Mapping[str, Any], str, Place, P], T], *args: P.args, **kwargs: P.kwargs
+) -> T:
+    """A field of a record of options: its key is read by `read`, for instance `Reader.quantity`, with these arguments.
+
+    Its default is what `read` gives where the key is missing.
+    """
+
+    def read_key(reader: Reader, given: Mapping[str, Any], key: str, place: Place) -> T:
+        return read(reader, given, key, place, *args, **kwargs)
+
+    made: T = field(default_factory=lambda: read_key(Reader(), {}, "", ()), metadata={"read": read_key})
+    return made
 
 
 def options_of(device: DeviceRecord, read: Callable[[DeviceRecord, Reader], T]) -> T:

@@ -5,8 +5,9 @@ Many intervals are integrated in parallel.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from math import inf, sqrt
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -22,8 +23,13 @@ SUBSTEPS = 2
 """Integration steps per sample."""
 GOLDEN = (1 + sqrt(5)) / 2
 """Multiples of this, modulo 1, fill the interval between two steps evenly."""
+BLOCK = 128
+"""Samples that are prepared at once: few enough to stay in the fast memory of the processor."""
 LEAST = 1.0
 """Lower limit of stiffness [N/m] and damping [N.s/m] in a simulation."""
+SURE = 1e30
+"""Times any speed or contraction more than any force or speed: what moves does not turn within a step, and what lies
+on its support does not move down."""
 
 
 class Coefficients(Protocol):
@@ -67,41 +73,54 @@ def run(
     more
         Force [N] in addition to F_ce - K x, from contraction [m] and pressure [Pa], shape (m,).
     """
-    F_ce, K, B_c, B_r = found = fit.coefficients(P)
+    found = fit.coefficients(P)
     np.maximum(found[1:], LEAST, out=found[1:])
-    F_c = max(0.0, fit.coulomb)
     h = dt / substeps
-    v = np.zeros(P.shape[1])
-    all_x, all_v = np.empty(P.shape), np.empty(P.shape)
+    all_x, all_v = np.empty(P.shape), np.zeros(P.shape)
 
-    def at_middles(part: int) -> tuple[Array, ...]:
+    def steps(first: int) -> Iterator[tuple[tuple[Array, ...], ...]]:
+        """From each of `BLOCK` samples to the next the steps in between."""
+        begins = [values[first : first + BLOCK + 1] for values in (*found, P)]
+        changes = [np.diff(values, axis=0) for values in begins]
+        return zip(*(at_middles(part, zip(begins, changes, strict=True)) for part in range(substeps)), strict=True)
+
+    def at_middles(part: int, courses: Iterable[tuple[Array, Array]]) -> Iterator[tuple[Array, ...]]:
         """Force, stiffness, pressure; for each direction what becomes of speed and force: speed and way in a step."""
-        middles = (values[:-1] + (part + 0.5) / substeps * np.diff(values, axis=0) for values in (F_ce, K, P, B_c, B_r))
-        F, k, at, *dampings = middles
-        found = [F - load, k, at]
-        for damping in (B + 0.5 * h * k for B in dampings):
-            rate = damping / mass
-            fade = np.expm1(-rate * h)
-            slower = fade / rate
-            found.append(np.stack((1 + fade, -slower, -fade / damping, (h + slower) / damping), axis=1))
-        return tuple(found)
+        F, k, *dampings, at = (begin[:-1] + (part + 0.5) / substeps * change for begin, change in courses)
+        damping = np.stack(dampings, axis=1) + (0.5 * h * k)[:, None]
+        rate = damping / mass
+        fade = np.expm1(-rate * h)
+        slower = fade / rate
+        return zip(F - load, k, at, 1 + fade, -fade / damping, -slower, (h + slower) / damping, strict=True)
 
-    middles = [at_middles(part) for part in range(substeps)]
-    for i in range(len(P)):
-        all_x[i], all_v[i] = x, v
-        if i + 1 == len(P):
-            break
-        for F, k, at, up, down in middles:
-            drive = F[i] - k[i] * x
+    # speeds, ways and forces up and down, shape (2, m); results in place and no scalar among them take half the time
+    v, way, pull, part = (np.zeros((2, P.shape[1])) for _ in range(4))
+    (up, down), (rise, fall), (pull_up, pull_down), other = v, way, pull, v[::-1]
+    x, drive, F_c, all_x[0] = x.copy(), np.empty(P.shape[1]), np.full(P.shape[1], max(0.0, fit.coulomb)), x
+    none, sure, opposite = np.zeros(v.shape), np.full(v.shape, SURE), -F_c
+    multiply, subtract, at_least = np.multiply, np.subtract, np.maximum
+    for i, parts in enumerate(chain.from_iterable(map(steps, range(0, len(P) - 1, BLOCK))), 1):
+        for F, k, at, slowed, gained, by_speed, by_force in parts:
+            subtract(F, multiply(k, x, drive), drive)
             if more is not None:
-                drive += more(x, at[i])
-            way = np.sign(np.where(v, v, drive))
-            by = np.where(way > 0, up[i], down[i])
-            v, gone = way * np.maximum(0.0, np.abs(v) * by[:2] + (way * drive - F_c) * by[2:])
-            x = np.maximum(0.0, x + gone)
-            v = np.where(x, v, np.maximum(0.0, v))
+                drive += more(x, at)
+            subtract(drive, F_c, pull_up)
+            subtract(opposite, drive, pull_down)
+            pull -= multiply(other, sure, part)
+            multiply(v, by_speed, way)
+            way += multiply(pull, by_force, part)
+            v *= slowed
+            v += multiply(pull, gained, part)
+            at_least(way, none, out=way)
+            at_least(v, none, out=v)
+            x += rise
+            x -= fall
+            at_least(x, none[0], out=x)
+            np.minimum(down, multiply(x, sure[0], drive), out=down)
+        all_x[i] = x
+        subtract(up, down, all_v[i])
     force = load + mass * np.gradient(all_v, dt, axis=0)
-    return Replayed(all_x, np.where(all_x > 0, force, np.minimum(F_ce, load)))
+    return Replayed(all_x, np.where(all_x > 0, force, np.minimum(found[0], load)))
 
 
 @dataclass(frozen=True)
@@ -118,8 +137,10 @@ class Stretches:
 
 def as_columns(courses: Sequence[Array]) -> Array:
     """Arrays of different length as columns, shape (n, m); shorter ones are extended by their last value."""
-    most = max(map(len, courses))
-    return np.column_stack([np.pad(one, (0, most - len(one)), mode="edge") for one in courses])
+    rows = np.empty((len(courses), max(map(len, courses))))
+    for row, one in zip(rows, courses, strict=True):
+        row[: len(one)], row[len(one) :] = one, one[-1]
+    return np.ascontiguousarray(rows.T)
 
 
 def stretches(pieces: Sequence[tuple[Samples, slice]], dt: float, rest: int) -> Stretches:
@@ -143,22 +164,26 @@ def stretches(pieces: Sequence[tuple[Samples, slice]], dt: float, rest: int) -> 
 
 
 def measured(
-    work: Stretches, replayed: Replayed, noise: Noise, cell: bool, seed: int, step: float = 0.0
-) -> list[Samples]:
-    """The simulated samples with `noise`, with a force where there is a `cell`; reproducible by `seed`.
+    work: Stretches, replayed: Replayed, noise: Noise, cell: bool, count: int, step: float = 0.0
+) -> Iterator[list[Samples]]:
+    """The simulated samples `count` times with other `noise`, with a force where there is a `cell`; reproducible.
 
-    Pressure is quantised in steps of `step` [Pa], with another offset for each seed; not at all where that is 0.
+    Pressure is quantised in steps of `step` [Pa], with another offset each time; not at all where that is 0.
     """
-    generator = np.random.default_rng(seed)
-    result = []
-    for column, samples in enumerate(work.source):
-        size = len(samples.t)
-        shake = generator.standard_normal((3, size))
-        force = replayed.force[:size, column] + noise.force * shake[2] if cell else None
-        P, x = samples.P + noise.pressure * shake[0], replayed.x[:size, column] + noise.displacement * shake[1]
-        P = step * (np.round(P / step + seed / GOLDEN) - seed / GOLDEN) if step else P
-        result.append(Samples(samples.trial, samples.t, P, x, force, samples.ok, samples.load, samples.mass))
-    return result
+    parts = list[Array]()
+    for samples, *simulated in zip(work.source, replayed.x.T, replayed.force.T, strict=True):
+        parts += [samples.P, *(column[: len(samples.t)] for column in simulated)]
+    exact, sizes = np.concatenate(parts), [len(part) for part in parts]
+    size = np.repeat(np.resize(tuple(vars(noise).values()), len(sizes)), sizes)
+    for seed in range(count):
+        values = np.random.default_rng(seed).standard_normal(len(exact))
+        values *= size
+        values += exact
+        columns, result = iter(np.split(values, np.cumsum(sizes)[:-1])), list[Samples]()
+        for samples, P, x, force in zip(work.source, columns, columns, columns, strict=True):
+            read = step * (np.round(P / step + seed / GOLDEN) - seed / GOLDEN) if step else P
+            result.append(replace(samples, P=read, x=x, force=force if cell else None))
+        yield result
 
 
 def between_steps(P: Array, step: float) -> Array:

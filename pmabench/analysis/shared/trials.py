@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, TypeVar
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
 from pmabench.analysis.imported import in_time
-from pmabench.analysis.shared.calibration import sentences
+from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.samples import NotUsable
 from pmabench.analysis.shared.student import mean_with_half
+from pmabench.base.kind import Result
 from pmabench.base.quantities import show
-from pmabench.store.analyses.results import Dropped, Estimate, Finding, Parts
+from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, RunData, TrialData
 
 Members = list[tuple[RunData, TrialData]]
 Point = tuple[tuple[str, float], ...]
 One = TypeVar("One")
-Key = TypeVar("Key", bound=Hashable)
+Key = TypeVar("Key")
 
 
 def measured_trials(
@@ -35,6 +36,58 @@ def measured_trials(
             except NotUsable as reason:
                 dropped.append(Dropped(trial.name, trial.point, str(reason)))
     return found, dropped
+
+
+@dataclass
+class Reduction(Generic[One]):
+    """The reduction of all trials of one kind of test: what was measured of each, and what has come out so far."""
+
+    kind: str
+    results: Sequence[Result]
+    runs: Sequence[RunData]
+    options: Mapping[str, Any]
+    measured: list[One]
+    dropped: list[Dropped]
+    scales: Scales
+    estimates: list[Estimate] = field(default_factory=list)
+    findings: list[Finding] = field(default_factory=list)
+    traces: list[Trace] = field(default_factory=list)
+
+    @classmethod
+    def of(
+        cls, kind: str, results: Sequence[Result], runs: Sequence[RunData], options: Mapping[str, Any] | None,
+        measure: Callable[[RunData, TrialData, Mapping[str, Any]], One],
+    ) -> Reduction[One]:  # fmt: skip
+        """`measure` makes what is known of one trial; a trial for which it raises `NotUsable` is dropped."""
+        options = options or {}
+        measured, dropped = measured_trials(runs, lambda run, trial: measure(run, trial, options))
+        return cls(kind, results, runs, options, measured, dropped, Scales.of(runs))
+
+    def cells(self, key: Callable[[One], Key]) -> list[tuple[Key, list[One]]]:
+        """What was measured at each operating point, in rising order."""
+        return sorted(grouped(self.measured, key).items())
+
+    def add(self, estimates: Iterable[Estimate], findings: Iterable[Finding], traces: Iterable[Trace]) -> None:
+        """Add what came out of a part of the trials."""
+        self.estimates += estimates
+        self.findings += findings
+        self.traces += traces
+
+    def doubt_dropped(self) -> None:
+        """Add a doubt for each trial that is not used."""
+        self.findings += [Finding("doubt", f"{one.trial}: {one.reason}") for one in self.dropped]
+
+    def note_lack(self, gains: Iterable[str], offsets: Iterable[str] = ()) -> None:
+        """Add a note on channels without a recorded uncertainty (`Scales.findings`)."""
+        self.findings += self.scales.findings(self.estimates, gains, offsets)
+
+    def analysis(self, **facts: Any) -> Analysis:
+        """The result, with further `facts`."""
+        facts = {"options": dict(self.options), "trials": len(self.measured), **facts}
+        return Analysis.of(
+            self.kind, self.runs, results=self.results, estimates=self.estimates, dropped=self.dropped,
+            findings=self.findings, traces=self.traces, facts=facts,
+        )  # fmt: skip
 
 
 def grouped(items: Iterable[One], key: Callable[[One], Key]) -> dict[Key, list[One]]:

@@ -19,14 +19,13 @@ from pmabench.base.quantities import show
 from pmabench.kinds.arm_angle.stairs import Loaded
 from pmabench.kinds.arm_angle.stairs import measure as stair_of
 from pmabench.model.library import MODELS
-from pmabench.plotting.pictures import Picture, bound, column, has, how_many, label, numbers, panel, picture, spread
-from pmabench.plotting.plots import FULL, INK, PALETTE, QUIET, Panel, blank, few_ticks, grid
+from pmabench.plotting.chart import GAP, PAGE, Chart, Level, Series
+from pmabench.plotting.looks import INK, PALETTE, QUIET
+from pmabench.plotting.pictures import Picture, column, crosses, curve, has, how_many, label, numbers, of_charts, spread
 from pmabench.store.analyses.results import Analysis, Finding, Trace
 from pmabench.store.records import Array, RunData, TrialData
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from pmabench.kinds.arm_angle.reduction import Fitted
 
 NAMES = ("pressure", "angle", "below", "above", "fit", "model")
@@ -193,7 +192,7 @@ def trace(fitted: Fitted, *, compare: bool) -> Trace:
     return Trace(f"arm-angle-{1000 * one.mass:.0f}-g", "arm-angle", title, columns, quantities, marks)
 
 
-LOADS = 6
+LOADS, HEIGHT = 6, 190.0
 
 
 def angles(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
@@ -203,10 +202,8 @@ def angles(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     if not chosen:
         return []
     titles = [show(t.marks["tip_mass"], "mass", 4) if "tip_mass" in t.marks else t.name for t in chosen]
-    held = [{name: name for name in NAMES if name in t.columns and has(t, name)} for t in chosen]
-    panels = list(map(panel, chosen, held, titles))
-    labels = {"x": label(chosen[0], "pressure"), "y": label(chosen[0], "angle"), "gap": "above − below [deg]"}
-    kinds = {name for one in panels for name in one.columns}
+    labels = label(chosen[0], "pressure"), label(chosen[0], "angle")
+    kinds = {name for t in chosen for name in NAMES if has(t, name)}
     caption = "Angle of the arm's end at rest over the pressure of the bending muscle, at each load."
     if "above" in kinds:
         caption += " △ reached from below, ▽ from above; right: from above less from below."
@@ -214,49 +211,44 @@ def angles(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
         caption += " Lines: α = a + b / [1 + (p/c)^d] through the way up (paper 2, second eqs. 10)."
     if "model" in kinds:
         caption += " Dashed: the same with paper 2's 20 numbers."
-    if any("table" in one.marks for one in panels):
+    if any("table" in t.marks for t in chosen):
         caption += " Short lines at the right end: the largest angles of its Table 1."
     y = np.concatenate([column(t, "angle")[np.isfinite(column(t, "angle"))] for t in chosen])
-    alt = f"{labels['y']} over {labels['x']} at {len(panels)} loads, {y.min():.4g} to {y.max():.4g}."
+    alt = f"{labels[1]} over {labels[0]} at {len(chosen)} loads, {y.min():.4g} to {y.max():.4g}."
     table = numbers(list(zip(titles, chosen, strict=True)))
-    draw = bound(drawing_of, panels, labels)
+    charts = _charts(chosen, titles, labels)
     title = "Bending angle of the arm"
-    return [picture(draw, title, caption + how_many(chosen, able), alt, table, wide=True, simulated=analysis.simulated)]
+    return [of_charts([charts], title, caption + how_many(chosen, able), alt, table, simulated=analysis.simulated)]
 
 
-def drawing_of(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
+def _charts(traces: Sequence[Trace], titles: Sequence[str], labels: tuple[str, str]) -> list[Chart]:
     """Left the angles; right the gap between both branches, if there are two."""
-    both = any("above" in one.columns for one in panels)
-    figure = blank(FULL, 3.0)
-    cells = grid(figure, 1, 3 if both else 1, left=0.55, across=0.55)
-    axes = figure.add_subplot(cells[0, :2] if both else cells[0])
-    gap = figure.add_subplot(cells[0, 2]) if both else None
-    for i, one in enumerate(panels):
+    lines, marks, gaps = [], [], []
+    for i, (trace, title) in enumerate(zip(traces, titles, strict=True)):
         color = PALETTE[i % len(PALETTE)]
-        P = one.columns["pressure"]
-        for name, style, wide in (("fit", "-", 0.9), ("model", (0, (4, 2)), 0.8)):
-            if name in one.columns:
-                axes.plot(P, one.columns[name], color=color, linestyle=style, linewidth=wide, zorder=1)
-        for name, mark in (("below", "^"), ("above", "v")):
-            if name in one.columns:
-                title = one.title if name == "below" else None
-                axes.plot(P, one.columns[name], mark, color=color, markerfacecolor="white", markersize=3.0, label=title)
-        if "table" in one.marks:
-            end = float(np.nanmax(P))
-            printed = np.degrees(one.marks["table"])
-            axes.plot([0.985 * end, 1.015 * end], [printed, printed], color=INK, linewidth=1.2, zorder=4)
-        if gap is not None and "above" in one.columns:
-            gap.plot(P, one.columns["above"] - one.columns["below"], "o-", color=color, markersize=2.5, linewidth=0.7)
-        for name, at, y in one.published:
-            axes.plot(at, y, "x", color=INK, markersize=4, label=name)
-    axes.legend(loc="lower right", ncols=3)
-    if gap is not None:
-        gap.axhline(0.0, color=QUIET, linewidth=0.6)
-    for part, name in ((axes, "y"), (gap, "gap")):
-        if part is not None:
-            part.set(xlabel=labels["x"], ylabel=labels[name])
-            few_ticks(part)
-    return figure
+        for name in ("fit", "model"):
+            if has(trace, name):
+                dashed = name == "model"
+                lines.append(curve(trace, "pressure", name, "", color, width=0.9, dashed=dashed, hidden=True))
+        for name, mark, word in (("below", "^", title), ("above", "v", "")):
+            if has(trace, name):
+                said = f"{title} {name}"
+                marks.append(curve(trace, "pressure", name, word, color, mark, hollow=True, said=said))
+        if "table" in trace.marks:
+            ends = np.array([0.985, 1.015]) * np.nanmax(column(trace, "pressure"))
+            marks.append(Series("", ends, np.degrees(np.full(2, trace.marks["table"])), INK, hidden=True))
+        if has(trace, "below", "above"):
+            gap = column(trace, "above") - column(trace, "below")
+            known = np.isfinite(gap)
+            look = column(trace, "pressure")[known], gap[known], color
+            gaps += [Series("", *look, width=0.7, hidden=True), Series("", *look, "o", said=title)]
+    marks += [one for theirs in crosses(traces, "pressure", "angle") for one in theirs]
+    share = 0.6 if gaps else 1.0
+    charts = [Chart(*labels, (*lines, *marks), share * PAGE, HEIGHT, legend=True)]
+    if gaps:
+        zero, rest = (Level(0.0, color=QUIET, dashed=False),), (1 - share) * PAGE - GAP
+        charts.append(Chart(labels[0], "above − below [deg]", tuple(gaps), rest, HEIGHT, levels=zero))
+    return charts
 
 
 def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:

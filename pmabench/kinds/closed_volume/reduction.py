@@ -17,14 +17,14 @@ from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.lines import mean_of_cycles
 from pmabench.analysis.shared.samples import NotUsable, settings_of
-from pmabench.analysis.shared.trials import grouped, measured_trials
+from pmabench.analysis.shared.trials import Reduction, grouped
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.kinds.closed_volume import RESULTS
 from pmabench.kinds.closed_volume.stroke import Gas, Stroke, fit_volume, measure, moved_by, spreads_of, volume_at
-from pmabench.plotting.chart import Series, of_points
+from pmabench.plotting.chart import Chart, Series
+from pmabench.plotting.looks import PALETTE
 from pmabench.plotting.pictures import Picture, column, has, how_many, numbers, of_charts, spread, unit_of
-from pmabench.plotting.plots import PALETTE
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace, withhold
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -44,25 +44,24 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     """
     settings = settings_of(runs[0], options) if runs else {}
 
-    def stroke_of(run: RunData, trial: TrialData) -> Stroke:
-        if settings_of(run, options) != settings:
+    def stroke_of(run: RunData, trial: TrialData, asked: Mapping[str, Any]) -> Stroke:
+        if settings_of(run, asked) != settings:
             raise NotUsable("its volumes, room or contractions are not those of the first run")
         return measure(run, trial, settings)
 
-    members, dropped = measured_trials(runs, stroke_of)
-    facts: dict[str, Any] = {"options": dict(options or {}), "trials": len(members)}
+    result = Reduction.of(KIND, RESULTS, runs, options, stroke_of)
+    members, scales = result.measured, result.scales
     if not members:
-        return Analysis.of(KIND, runs, results=RESULTS, dropped=dropped, facts=facts)
-    scales, gas, length = Scales.of(runs), Gas.of(settings), float(settings["length"])
-    cells = grouped(members, lambda stroke: round(stroke.trial.point["pressure"], 6))
+        return result.analysis()
+    gas, length = Gas.of(settings), float(settings["length"])
+    cells = dict(result.cells(lambda stroke: round(stroke.trial.point["pressure"], 6)))
     estimates: list[Estimate] = []
-    findings: list[Finding] = []
     spreads = spreads_of(cells, gas)
-    for pressure, group in sorted(cells.items()):
+    for pressure, group in cells.items():
         for leak, method in ((True, TIGHT), (False, PRINTED)):
             estimates += _volumes(pressure, group, settings, scales, method, leak=leak)
-        findings.append(_leaks(pressure, group, gas))
-    findings += _agree(estimates)
+        result.findings.append(_leaks(pressure, group, gas))
+    result.findings += _agree(estimates)
     estimates = [
         weighed(e, spreads[round(e.at["pressure"], 6)].doubts(e, n % len(members[0].x), leak=e.method == TIGHT))
         for n, e in enumerate(estimates)
@@ -77,19 +76,10 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     ]
     if lacking := next((e.note for e in estimates if e.withheld and e.method == TIGHT), ""):
         curve = [withhold(e, f"a volume that it goes through is withheld: {lacking}") for e in curve]
-    if lack := scales.lack(("pressure",), ("pressure",)):
-        findings.append(Finding("note", lack))
+    result.add([*sorted(estimates, key=lambda e: e.method != TIGHT), *curve], (), _traces(estimates, curve, length))
+    result.note_lack(("pressure",), ("pressure",))
     share = max((m.lost / (m.before + gas.atmosphere) for m in members), key=abs)
-    return Analysis.of(
-        KIND,
-        runs,
-        results=RESULTS,
-        estimates=[*sorted(estimates, key=lambda e: e.method != TIGHT), *curve],
-        dropped=dropped,
-        findings=findings,
-        traces=list(_traces(estimates, curve, length)),
-        facts={**facts, "cells": len(cells), "leak": share},
-    )
+    return result.analysis(cells=len(cells), leak=share)
 
 
 def _values(
@@ -237,7 +227,7 @@ def volumes(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     if not chosen:
         return []
     series = [one for i, trace in enumerate(chosen) for one in _series(trace, i)]
-    points = [one for one in series if one.dots]
+    points = [one for one in series if one.mark]
     labels = (unit_of(chosen[0], "contraction").label("contraction ε"), unit_of(chosen[0], "volume").label("V"))
     marks = chosen[0].marks
     curve = ""
@@ -254,10 +244,10 @@ def volumes(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     every = np.concatenate([p.y for p in points])
     least, most = float(np.nanmin(every)), float(np.nanmax(every))
     alt = f"{labels[1]} over {labels[0]} from {len(points)} start pressures, {least:.4g} to {most:.4g}."
-    chart = of_points(series, *labels, alt, simulated=analysis.simulated)
+    chart = Chart(*labels, tuple(series), alt=alt, legend=True)
     table = numbers([(p.label, t) for p, t in zip(points, chosen, strict=True)], COLUMNS)
     title, simulated = "Volume over contraction", analysis.simulated
-    return [of_charts([[chart]], title, caption, alt, table, simulated=simulated, still=True)]
+    return [of_charts([[chart]], title, caption, alt, table, simulated=simulated)]
 
 
 def _series(trace: Trace, i: int) -> list[Series]:
@@ -267,7 +257,7 @@ def _series(trace: Trace, i: int) -> list[Series]:
     curve = [Series("", x, column(trace, "curve"), PALETTE[0])] if i == 0 and "curve" in trace.columns else []
     name = show(trace.marks["pressure"], "pressure") if "pressure" in trace.marks else f"{i + 1}"
     aside = x + 0.012 * i * np.ptp(x)
-    return [*curve, Series(f"from {name}", aside, y, PALETTE[i % len(PALETTE)], True, half, hollow=i > 0)]
+    return [*curve, Series(f"from {name}", aside, y, PALETTE[i % len(PALETTE)], "o", half, hollow=i > 0)]
 
 
 def one_trial(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:

@@ -6,8 +6,8 @@
   its words and overlays: `checks`
 - the way of the papers, dead times: `exponentials`; the regulator, and how late its gauge is: `bandwidth`
 - by paper 1: `paper1`, made of `paper1_steps`
-- further trials: `predicted`, what they would add; `known`, what is known so far; `next_trial`, the choice
-- protocol files: `protocol`; one trial on the display: `live`
+- further trials: `known`, what is known so far and what they would add; `next_trial`, the choice
+- protocol files: `protocol`; one trial on the display: `reduction`
 """
 
 from pmabench.base.kind import Commanded, Imported, Kind, Result
@@ -96,7 +96,7 @@ KIND = Kind(
     reduction="pmabench.kinds.contraction_relaxation.reduction:reduce",
     papers=("paper 0, section 4", "paper 1, section 3"),
     protocol="pmabench.kinds.contraction_relaxation.protocol:ContractionRelaxation",
-    live="pmabench.kinds.contraction_relaxation.live:measure",
+    live="pmabench.kinds.contraction_relaxation.reduction:measure",
     moves="displacement",
     repeated="pmabench.analysis.shared.trials:stroke_of",
     repeated_is="stroke",
@@ -105,7 +105,7 @@ KIND = Kind(
     methods=METHODS,
     options=("regulator",),
     parts={
-        "intervals of a plan": "pmabench.kinds.contraction_relaxation.predicted:intervals_of_plan",
+        "intervals of a plan": "pmabench.kinds.contraction_relaxation.known:intervals_of_plan",
         "slow rows": "pmabench.analysis.surface.trials:hanging",
         "next trial": "pmabench.kinds.contraction_relaxation.next_trial:Chooser",
     },

@@ -217,7 +217,8 @@ def _identified(pooled: Pooled) -> tuple[Array, Array]:
 
 def _thinned(P: Array, every: int) -> Array:
     """One of `every` rows, as the mean of the rows around it."""
-    sums = np.cumsum(np.vstack([np.zeros((1, P.shape[1])), P]), axis=0)
+    sums = np.zeros((len(P) + 1, P.shape[1]))
+    np.cumsum(P, axis=0, out=sums[1:])
     rows = np.arange(0, len(P), every)
     first, last = np.maximum(0, rows - every // 2), np.minimum(len(P), rows + every // 2 + 1)
     return np.asarray((sums[last] - sums[first]) / (last - first)[:, None])

@@ -6,12 +6,13 @@ primary method's results, and does not change the latter.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import hypot, sqrt
+from math import hypot, isfinite, sqrt
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales, calibrated, sentences
@@ -32,6 +33,8 @@ from pmabench.store.records import Array, TrialData
 LEAST_STEP = 0.2e-3
 """Steps that move less are not fitted [m]."""
 MOST_SAMPLES = 1000
+TOGETHER = 32
+"""Steps that are fitted at once: few enough to stay in the fast memory of the processor."""
 ITERATIONS = 60
 
 
@@ -71,52 +74,69 @@ class Regression:
     n: int
 
 
-def exponential(t: Array, x: Array, start: float) -> Exponential | None:
-    """Least squares for end, t_d and tau by damped Gauss-Newton; t [s] counts from the command; None if it fails."""
-    stride = -(-len(t) // MOST_SAMPLES)
-    t, x = t[::stride], x[::stride]
-    end = float(np.mean(x[-max(3, len(x) // 20) :]))
-    share = (x - start) / (end - start)
-    t28, t63 = (float(t[int(np.argmax(share > level))]) for level in (0.283, 0.632))
-    tau = max(1.5 * (t63 - t28), 2 * float(t[1] - t[0]))
-    theta = np.array([end, max(0.0, t63 - tau), tau])
+def exponentials(t: Array, x: Array, start: Array) -> list[Exponential | None]:
+    """Least squares for end, t_d and tau of each step by damped Gauss-Newton, all steps at once; None where it fails.
 
-    def residual(at: Array) -> tuple[Array, Array, Array]:
-        since = np.maximum(t - at[1], 0.0)
-        fade = np.exp(-since / at[2])
-        return x - start - (at[0] - start) * (1 - fade), fade, since
+    `t` [s] from the command and `x` [m] have shape (m, n), `start` [m] has shape (m, 1).
+    """
+    end = x[:, -max(3, x.shape[1] // 20) :].mean(axis=1)
+    share = (x - start) / (end[:, None] - start)
+    t28, t63 = (t[np.arange(len(t)), np.argmax(share > level, axis=1)] for level in (0.283, 0.632))
+    tau = np.maximum(1.5 * (t63 - t28), 2 * (t[:, 1] - t[:, 0]))
+    theta, longest = np.stack([end, np.maximum(0.0, t63 - tau), tau], axis=1), 10 * (t[:, -1] - t[:, 0])
 
-    r, fade, since = residual(theta)
-    damping = 1e-3
+    def residual(rows: NDArray[np.intp], at: Array) -> tuple[Array, Array, Array]:
+        since = np.maximum(t[rows] - at[:, 1:2], 0.0)
+        fade = np.exp(-since / at[:, 2:])
+        return x[rows] - start[rows] - (at[:, :1] - start[rows]) * (1 - fade), fade, since
+
+    going = np.arange(len(t))
+    left, damping = residual(going, theta), np.full(len(t), 1e-3)
     for _ in range(ITERATIONS):
-        grown = (theta[0] - start) * fade / theta[2]
-        jacobian = np.column_stack([1 - fade, -grown * (since > 0), -grown * since / theta[2]])
-        normal = jacobian.T @ jacobian
-        normal.flat[::4] = normal.diagonal() + damping * normal.diagonal() + 1e-30
-        move = np.linalg.solve(normal, jacobian.T @ r)
-        tried = theta + move
-        if tried[2] <= 0 or tried[2] > 10 * (t[-1] - t[0]):
-            damping *= 10
-            continue
-        new, *after = residual(tried)
-        if new @ new <= r @ r:
-            small = bool(np.all(np.abs(move) < 1e-7 * np.abs(tried) + 1e-9))
-            theta, r, (fade, since), damping = tried, new, after, max(1e-9, damping / 5)
-            if small:
-                break
-        else:
-            damping *= 10
-            if damping > 1e9:
-                break
-    if not np.all(np.isfinite(theta)):
-        return None
-    rms = sqrt(float(np.mean(r**2)))
-    return Exponential(start, float(theta[0]), float(theta[1]), float(theta[2]), rms)
+        at, (r, fade, since) = theta[going], (values[going] for values in left)
+        grown = (at[:, :1] - start[going]) * fade / at[:, 2:]
+        jacobian = np.stack([1 - fade, -grown * (since > 0), -grown * since / at[:, 2:]], axis=2)
+        turned = jacobian.transpose(0, 2, 1)
+        normal = turned @ jacobian
+        diagonal = np.einsum("ijj->ij", normal)
+        diagonal += damping[going, None] * diagonal + 1e-30
+        move = np.linalg.solve(normal, turned @ r[:, :, None])[:, :, 0]
+        tried = at + move
+        within = (tried[:, 2] > 0) & (tried[:, 2] <= longest[going])
+        new = residual(going, np.where(within[:, None], tried, at))
+        better = within & [bool(one @ one <= other @ other) for one, other in zip(new[0], r, strict=True)]
+        theta[going[better]] = tried[better]
+        for values, changed in zip(left, new, strict=True):
+            values[going[better]] = changed[better]
+        damping[going] = np.where(better, np.maximum(1e-9, damping[going] / 5), damping[going] * 10)
+        small = np.all(np.abs(move) < 1e-7 * np.abs(tried) + 1e-9, axis=1)
+        going = going[~np.where(better, small, within & (damping[going] > 1e9))]
+        if not len(going):
+            break
+    rms = np.sqrt(np.mean(left[0] ** 2, axis=1))
+    found = zip(start[:, 0].tolist(), *theta.T.tolist(), rms.tolist(), strict=True)
+    return [Exponential(*one) if all(map(isfinite, one[1:4])) else None for one in found]
 
 
-def steps_of(samples: Samples, trial: TrialData, lift: float) -> list[Step]:
-    """Fits to the contraction and relaxation steps of a trial that move and end off the support."""
-    result = []
+def steps_of(trials: Iterable[tuple[Samples, TrialData]], lift: float) -> list[Step]:
+    """Fits to the contraction and relaxation steps of trials that move and end off the support."""
+    moves = [move for samples, trial in trials for move in _moves(samples, trial, lift)]
+    alike = grouped(range(len(moves)), lambda number: len(moves[number][1]))
+    together = [rows[first : first + TOGETHER] for rows in alike.values() for first in range(0, len(rows), TOGETHER)]
+    fitted: dict[int, Exponential | None] = {}
+    for rows in together:
+        t, x, start = (np.array([moves[number][place] for number in rows]) for place in (1, 2, 3))
+        fitted |= dict(zip(rows, exponentials(t, x, start[:, None]), strict=True))
+    known = [(moves[number][0], fit) for number, fit in sorted(fitted.items())]
+    return [Step(*about, fit) for about, fit in known if fit is not None]
+
+
+Move = tuple[tuple[int, str, float, float], Array, Array, float]
+"""Fields of a `Step` without its fit, times from the command [s], contraction, and contraction at the start [m]."""
+
+
+def _moves(samples: Samples, trial: TrialData, lift: float) -> Iterator[Move]:
+    """The steps of a trial."""
     commands = [c for c in trial.commands if c.output == "pressure" and c.phase in ("contract", "relax", "vent")]
     ends = [*(c.t for c in commands[1:]), float(samples.t[-1]) + 1e-9]
     t, x = samples.t[samples.ok], samples.x[samples.ok]
@@ -129,10 +149,8 @@ def steps_of(samples: Samples, trial: TrialData, lift: float) -> list[Step]:
         start, rest = float(np.mean(before)), float(np.mean(mine[-len(mine) // 20 :]))
         if abs(rest - start) < LEAST_STEP or rest < lift:
             continue
-        found = exponential(t[first:last] - command.t, mine, start)
-        if found is not None:
-            result.append(Step(samples.trial, command.phase, samples.load, command.value, found))
-    return result
+        rows = slice(first, last, -(-len(mine) // MOST_SAMPLES))
+        yield (samples.trial, command.phase, samples.load, command.value), t[rows] - command.t, x[rows], start
 
 
 def regress(load: Array, x: Array) -> Regression | None:
@@ -191,7 +209,7 @@ def compare(
     seen = {cause.name for cause in pooled.trust.causes if cause.seen} & {GAIN, ZERO, AT_REST.format("displacement")}
     seen |= {CORRECTED for one in pooled.diagnosis.of_cell if one.key == "gain"}
     scales = Scales.of(campaign.runs)
-    steps = [one for n in sorted(moved) for one in steps_of(campaign.samples[n], campaign.trials[n], Gate.lift)]
+    steps = steps_of(((campaign.samples[n], campaign.trials[n]) for n in sorted(moved)), Gate.lift)
     at_each = {(e.symbol, e.at["pressure"]): e for e in found if "pressure" in e.at}
     reference = {key: e for key, e in at_each.items() if e.value is not None}
 

@@ -31,8 +31,16 @@ from pmabench.analysis.next_trial import (
     propose,
 )
 from pmabench.base.quantities import show
-from pmabench.kinds.contraction_relaxation.known import Known, finished, known_after, missed_by, of_trials
-from pmabench.kinds.contraction_relaxation.predicted import Cell, cell_key, cells_of
+from pmabench.kinds.contraction_relaxation.known import (
+    Cell,
+    Known,
+    cell_key,
+    cells_of,
+    finished,
+    known_after,
+    missed_by,
+    of_trials,
+)
 from pmabench.kinds.contraction_relaxation.values import name_of
 from pmabench.store.records import Array, RunData, TrialData
 

@@ -13,8 +13,7 @@ from pydantic import Field
 from pmabench.base.quantities import show
 from pmabench.files.document import Strict
 from pmabench.files.quantity import Load, Pressure, Time
-from pmabench.protocol.accept import OF_FIT, OF_TRIALS
-from pmabench.protocol.common import Compilation, ProtocolHead
+from pmabench.protocol.common import OF_FIT, OF_TRIALS, Compilation, ProtocolHead
 from pmabench.protocol.plan import Hold, Plan, Record, Set, TrialRecord
 from pmabench.protocol.sweep import Point, PressureAxis, Sweep, expand
 

@@ -328,10 +328,12 @@ def _levels(column: Array) -> Array:
     few, low = np.diff(np.sort(column[:FEW])), column.min()
     step = few[few > 0].min(initial=np.inf)
     if (column.max() - low) / step < COUNTS:
-        counts = np.rint((column - low) / step).astype(np.intp)
+        places = column - low
+        places /= step
+        counts = np.rint(places, out=places).astype(np.intp)
         levels = np.full(int(counts.max()) + 1, np.nan)
         levels[counts] = column
-        if np.array_equal(levels[counts], column):
+        if (levels.take(counts) == column).all():
             return np.asarray(levels[np.isfinite(levels)])
     return np.sort(column)
 

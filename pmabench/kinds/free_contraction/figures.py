@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
@@ -13,13 +12,11 @@ from pmabench.analysis.model_fit import ModelFit
 from pmabench.base.quantities import show
 from pmabench.kinds.free_contraction.points import CLEAR, Point, curve_of
 from pmabench.model.library import MODELS
-from pmabench.plotting.pictures import Picture, bound, has, label, numbers, panel, picture
-from pmabench.plotting.plots import BLUE, BROWN, CROSSES, HALF, INK, Panel, blank, few_ticks, grid
+from pmabench.plotting.chart import Chart
+from pmabench.plotting.looks import BLUE, BROWN, INK
+from pmabench.plotting.pictures import Picture, column, crosses, curve, has, label, numbers, of_charts
 from pmabench.store.analyses.results import Analysis, Finding, Trace
 from pmabench.store.records import Array
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 CURVE = 121
 """Points of a drawn curve."""
@@ -147,50 +144,39 @@ def trace(points: Sequence[Point], fit: ModelFit | None, length: float, *, compa
 
 
 NAMES = ("pressure", "length", "below", "above", "fit", "model")
-STYLES = {"below": ("^", "reached from below"), "above": ("v", "reached from above"), "length": ("o", "measured")}
-LINES = {"fit": (BROWN, "-", "sigmoid, a to e fitted"), "model": (BLUE, (0, (4, 2)), "paper 2's formula")}
+MARKED = {
+    "below": ("^", INK, "reached from below"),
+    "above": ("v", INK, "reached from above"),
+    "length": ("o", INK, "measured"),
+}
+LINES = {"fit": ("", BROWN, "sigmoid, a to e fitted"), "model": ("", BLUE, "paper 2's formula")}
 
 
 def lengths(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
-    """One figure for each trace."""
+    """One figure for each trace: markers of both sides, or of the mean for one side, and the curves."""
     return [_lengths(trace, analysis.simulated) for trace in traces if has(trace, "pressure", "length")]
 
 
 def _lengths(trace: Trace, simulated: bool) -> Picture:
-    data = panel(trace, {name: name for name in NAMES if name == "pressure" or has(trace, name)}, "")
-    labels = {"x": label(trace, "pressure"), "y": label(trace, "length")}
-    sides = "below" in data.columns and "above" in data.columns
+    labels = label(trace, "pressure"), label(trace, "length")
+    sides = has(trace, "below", "above")
     more = ", at each pressure reached from 0 and from the highest pressure" if sides else ""
     caption = f"Length at rest without load: the nominal length less the contraction{more}."
-    if "fit" in data.columns:
-        caption += " Red: L = a + b / [1 + (p/c)^d]^e − 0.009 L0 √p (paper 2, eq. 1) through the means of both."
-    if "model" in data.columns:
+    if has(trace, "fit"):
+        caption += " Brown: L = a + b / [1 + (p/c)^d]^e − 0.009 L0 √p (paper 2, eq. 1) through the means of both."
+    if has(trace, "model"):
         caption += (
             " Dashed: the same with a to e of paper 2 for this nominal length; its printed coefficients are rounded: "
             "compare the shape."
         )
-    y = data.columns["length"][np.isfinite(data.columns["length"])]
-    alt = f"{labels['y']} over {labels['x']}: {len(y)} lengths from {y.max():.4g} down to {y.min():.4g}."
-    draw = bound(drawing_of, data, labels)
-    return picture(draw, "Free contraction", caption, alt, numbers([("", trace)]), wide=False, simulated=simulated)
-
-
-def drawing_of(data: Panel, labels: dict[str, str]) -> Figure:
-    """Markers of both sides, or of the mean for one side, and the curves."""
-    figure = blank(HALF, 2.75)
-    axes = figure.add_subplot(grid(figure, 1, 1, left=0.6)[0])
-    P = data.columns["pressure"]
-    for name, (color, dashes, words) in LINES.items():
-        if name in data.columns:
-            axes.plot(P, data.columns[name], color=color, linestyle=dashes, linewidth=1.1, label=words, zorder=1)
-    both: list[str] = [name for name in ("below", "above") if name in data.columns]
-    for name in both or ["length"]:
-        mark, words = STYLES[name]
-        axes.plot(P, data.columns[name], mark, color=INK, markerfacecolor="white", markersize=3.5, label=words)
-    for i, (name, at, y) in enumerate(data.published):
-        axes.plot(at, y, CROSSES[i % len(CROSSES)], color=INK, label=name)
-    axes.set_xlabel(labels["x"])
-    axes.set_ylabel(labels["y"])
-    axes.legend(loc="best")
-    few_ticks(axes)
-    return figure
+    lines = [(name, *LINES[name]) for name in LINES if has(trace, name)]
+    marks = [(name, *MARKED[name]) for name in (("below", "above") if sides else ("length",))]
+    series = [
+        curve(trace, "pressure", name, words, color, mark, hollow=True, dashed=name == "model")
+        for name, mark, color, words in lines + marks
+    ]
+    y = column(trace, "length")
+    y = y[np.isfinite(y)]
+    alt = f"{labels[1]} over {labels[0]}: {len(y)} lengths from {y.max():.4g} down to {y.min():.4g}."
+    chart = Chart(*labels, (*series, *crosses([trace], "pressure", "length")[0]), legend=True)
+    return of_charts([[chart]], "Free contraction", caption, alt, numbers([("", trace)]), simulated=simulated)

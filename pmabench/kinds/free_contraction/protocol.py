@@ -9,8 +9,7 @@ import numpy as np
 from pmabench.base.quantities import show
 from pmabench.files.document import Location, Strict
 from pmabench.files.quantity import PressureRate, Time
-from pmabench.protocol.accept import OF_TRIALS
-from pmabench.protocol.common import Compilation, ProtocolHead
+from pmabench.protocol.common import OF_TRIALS, Compilation, ProtocolHead
 from pmabench.protocol.plan import Hold, Plan, Ramp, Record, Step, TrialRecord
 from pmabench.protocol.sweep import PressureAxis, Sweep, expand
 

@@ -1,4 +1,4 @@
-"""Figures of slow ramps at constant pressure: loops, mean curves, gap, force of the rubber; drawn by `time_plots`.
+"""Figures of slow ramps at constant pressure: loops, mean curves, gap, force of the rubber.
 
 `measure`: values of one trial, for the display.
 """
@@ -6,6 +6,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -13,17 +15,19 @@ from pmabench.analysis.shared.ramp_loop import measure_as_planned
 from pmabench.analysis.shared.samples import NotUsable
 from pmabench.analysis.shared.trials import grouped
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
-from pmabench.plotting import time_plots
+from pmabench.plotting.chart import ZERO, Chart, Series, small_multiples
+from pmabench.plotting.looks import BROWN, INK, PALETTE
 from pmabench.plotting.pictures import (
     Picture,
-    bound,
+    column,
+    crosses,
+    curve,
     has,
     head,
     how_many,
     label,
     numbers,
-    panel,
-    picture,
+    of_charts,
     reach,
     spread,
 )
@@ -31,8 +35,9 @@ from pmabench.plotting.wording import shown
 from pmabench.store.analyses.results import Analysis, Trace
 from pmabench.store.records import RunData, TrialData
 
-PANELS, SPEEDS = 6, 4
-"""Most panels of a figure, and loops of a panel."""
+RUBBER = (("model", "fitted", BROWN), ("force", "measured", INK, "o"))
+PANELS, SPEEDS, MARKED = 6, 4, 25
+"""Most panels of a figure, loops of a panel, and marks of a measured curve."""
 
 
 def loops(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
@@ -45,32 +50,36 @@ def loops(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     means = {t.name.removeprefix("mean-curve-"): t for t in able if t.figure == "mean-curve"}
     keys = sorted(groups, key=lambda key: groups[key][0].marks.get("pressure", 0.0))
     chosen = spread(keys, PANELS)
-    names = {"x": "displacement", "y": "force"}
-    speed = shown("speed")
-    panels, rows = [], []
-    for key in chosen:
-        members = spread(groups[key], SPEEDS)
-        lines = [(f"{t.marks['speed'] / speed.scale:.3g} {speed.unit}", panel(t, names, "")) for t in members]
-        mean = panel(means[key], names, "") if key in means else None
-        panels.append((head(groups[key][0]), lines, mean))
-        rows += [(f"{head(t)}, {name}", t) for t, (name, _) in zip(members, lines, strict=True)]
+    unit = shown("speed")
+    speeds = {key: spread(groups[key], SPEEDS) for key in chosen}
+    said = {t.name: f"{t.marks['speed'] / unit.scale:.3g} {unit.unit}" for key in chosen for t in speeds[key]}
+    colors = {name: PALETTE[n % len(PALETTE)] for n, name in enumerate(dict.fromkeys(said.values()))}
+    titles = [head(groups[key][0]) for key in chosen]
     first = groups[chosen[0]][0]
-    labels = {"x": label(first, "displacement"), "y": label(first, "force")}
+    labels = label(first, "displacement"), label(first, "force")
+    theirs = crosses([means.get(key, speeds[key][0]) for key in chosen], "displacement", "force")
+    charts = []
+    for key, title, published in zip(chosen, titles, theirs, strict=True):
+        lines = [_line(t, said[t.name], colors[said[t.name]]) for t in speeds[key]]
+        lines += [_line(means[key], "mean", INK, dashed=True)] if key in means else []
+        charts.append(Chart(*labels, (*lines, *published), height=170.0, title=title, legend=True))
+    rows = [(f"{head(t)}, {said[t.name]}", t) for key in chosen for t in speeds[key]]
     gaps = [t.marks["H"] for key in chosen for t in groups[key] if "H" in t.marks]
     caption = (
         "The last cycle at each speed, and in black the mean of its branches, taken to speed 0: what a model without "
         f"hysteresis is to give. Gap at mid stroke, expanding minus contracting: {reach(gaps)} N."
         f"{how_many(chosen, keys)}"
     )
-    alt = (
-        f"{labels['y']} over {labels['x']} as loops at {', '.join(title for title, *_ in panels)}, with the mean curve."
-    )
-    draw = bound(time_plots.loops, panels, labels)
+    alt = f"{labels[1]} over {labels[0]} as loops at {', '.join(titles)}, with the mean curve."
     table = numbers(rows, ("displacement", "force"))
     return [
-        picture(draw, "Isobaric loops", caption, alt, table, wide=len(panels) > 1, simulated=analysis.simulated),
+        of_charts(small_multiples(charts, 3), "Isobaric loops", caption, alt, table, simulated=analysis.simulated),
         *_means([means[key] for key in chosen if key in means], analysis.simulated),
     ]
+
+
+def _line(trace: Trace, name: str, color: str, **looks: Any) -> Series:
+    return curve(trace, "displacement", "force", name, color, width=1.0, **looks)
 
 
 def _means(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
@@ -78,34 +87,42 @@ def _means(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
     able = [t for t in traces if has(t, "displacement", "force", "gap")]
     if len(able) < 2:
         return []
-    panels = [panel(t, {"x": "displacement", "y": "force", "gap": "gap"}, head(t)) for t in able]
-    unit = shown("force").unit
-    labels = {"x": label(able[0], "displacement"), "y": f"mean force [{unit}]", "gap": f"gap [{unit}]"}
+    titles, unit, x = [head(t) for t in able], shown("force").unit, label(able[0], "displacement")
+    forces, gaps = [], []
+    for n, (t, title) in enumerate(zip(able, titles, strict=True)):
+        color = PALETTE[n % len(PALETTE)]
+        forces.append(curve(t, "displacement", "force", title, color))
+        gaps.append(curve(t, "displacement", "gap", "", color))
+    upper = Chart(x, f"mean force [{unit}]", forces, height=150.0)
+    lower = Chart(x, f"gap [{unit}]", gaps, height=96.0, y_ticks=3, levels=(ZERO,))
     caption = (
         "Above: mean of the branches at each pressure. Below: the gap between them at the lowest speed; it closes at "
         "the ends of the stroke, where one branch turns into the other."
     )
-    alt = f"Mean force and gap over contraction at {', '.join(p.title for p in panels)}."
-    draw = bound(time_plots.means, panels, labels)
-    table = numbers([(p.title, t) for p, t in zip(panels, able, strict=True)], ("displacement", "force", "gap"))
+    alt = f"Mean force and gap over contraction at {', '.join(titles)}."
+    table = numbers(list(zip(titles, able, strict=True)), ("displacement", "force", "gap"))
     title = "Mean curves and gap over contraction"
-    return [picture(draw, title, caption, alt, table, wide=False, simulated=simulated)]
+    return [of_charts(small_multiples([(upper, lower)], 1), title, caption, alt, table, simulated=simulated)]
 
 
 def rubber(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     """The force without pressure compared with the fitted rubber term."""
     found = []
     for trace in (t for t in traces if has(t, "displacement", "force", "model")):
-        data = panel(trace, {"x": "displacement", "y": "force", "model": "model"}, "")
-        off = float(np.sqrt(np.mean((data.columns["y"] - data.columns["model"]) ** 2)))
+        fitted, measured = (curve(trace, "displacement", name, *look) for name, *look in RUBBER)
+        off = float(np.sqrt(np.nanmean((column(trace, "force") - column(trace, "model")) ** 2)))
         caption = (
-            "Marks: mean of the branches without pressure. Red: F_e = A ε (ε − B1)/(ε + B2) (paper 3, eq. 8), rms "
+            "Marks: mean of the branches without pressure. Line: F_e = A ε (ε − B1)/(ε + B2) (paper 3, eq. 8), rms "
             f"difference {off:.2g} {shown('force').unit}."
         )
         alt = f"Force over contraction without pressure, measured and fitted, apart by {off:.2g} N rms."
-        draw = bound(time_plots.marks_and_line, data, {"x": label(trace, "displacement"), "y": label(trace, "force")})
+        every = max(1, len(measured.x) // MARKED)
+        marks = replace(measured, x=measured.x[::every], y=measured.y[::every], hollow=True)
+        theirs = crosses([trace], "displacement", "force")[0]
+        labels = label(trace, "displacement"), label(trace, "force")
+        chart = Chart(*labels, (fitted, marks, *theirs), alt=alt, legend=True)
         table, title = numbers([("", trace)]), "Force of the rubber at 0 kPa"
-        found.append(picture(draw, title, caption, alt, table, wide=False, simulated=analysis.simulated))
+        found.append(of_charts([[chart]], title, caption, alt, table, simulated=analysis.simulated))
     return found
 
 

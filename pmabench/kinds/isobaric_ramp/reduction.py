@@ -20,7 +20,7 @@ from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.form import without_negative_friction
 from pmabench.analysis.shared.lines import mean_of_cycles
 from pmabench.analysis.shared.ramp_loop import measure_as_planned
-from pmabench.analysis.shared.trials import grouped, measured_trials
+from pmabench.analysis.shared.trials import Reduction, grouped
 from pmabench.analysis.verdict.agreement import Offer, Place, at_pressures, between, everywhere, values_of
 from pmabench.base.quantities import show
 from pmabench.kinds.isobaric_ramp import RESULTS
@@ -169,29 +169,24 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     The plan's settings, or the map's, have `discard` (cycles at the start; else 1) and `turn` [m] (left out at both
     ends; else a twentieth of the stroke).
     """
-    members, dropped = measured_trials(runs, lambda run, trial: Member(run, trial, measure_as_planned(run, trial)))
-    scales = Scales.of(runs)
-    cells = _cells(members)
-    estimates, findings, traces = list[Estimate](), list[Finding](), list[Trace]()
+    result = Reduction.of(
+        KIND, RESULTS, runs, None, lambda run, trial, _: Member(run, trial, measure_as_planned(run, trial))
+    )
+    scales, cells = result.scales, _cells(result.measured)
     for cell, creep in zip(cells, creeps_of(cells), strict=True):
         near = _next_to(cell, cells)
-        estimates += judged(cell, [*of_curve(cell, scales, near), *of_gap(cell, scales, near)], creep)
-        findings += cell.findings()
+        result.estimates += judged(cell, [*of_curve(cell, scales, near), *of_gap(cell, scales, near)], creep)
+        result.findings += cell.findings()
         if creep is None:
-            findings.append(Finding("doubt", f"at {show(cell.pressure, 'pressure')}, {ONE_CYCLE}"))
-        traces += cell.traces()
+            result.findings.append(Finding("doubt", f"at {show(cell.pressure, 'pressure')}, {ONE_CYCLE}"))
+        result.traces += cell.traces()
     for cell in (one for one in cells if one.pressure <= UNPRESSED):
-        more = rubber(cell, scales)
-        estimates, findings, traces = estimates + more[0], findings + more[1], traces + more[2]
-    findings += _sentences(cells)
-    estimates = without_negative_friction(estimates)
-    findings += skew.findings(runs, CHANNELS, max((cell.skew for cell in cells), default=0.0), estimates)
-    findings += scales.findings(estimates, ("force", "displacement"))
-    facts = {"trials": len(members), "cells": len(cells), "loops": [cell.facts() for cell in cells]}
-    estimates.sort(key=lambda e: e.method != CURVE)
-    return Analysis.of(
-        KIND, runs, results=RESULTS, estimates=estimates, dropped=dropped, findings=findings, traces=traces, facts=facts
-    )
+        result.add(*rubber(cell, scales))
+    result.findings += _sentences(cells)
+    result.estimates = sorted(without_negative_friction(result.estimates), key=lambda e: e.method != CURVE)
+    result.findings += skew.findings(runs, CHANNELS, max((cell.skew for cell in cells), default=0.0), result.estimates)
+    result.note_lack(("force", "displacement"))
+    return result.analysis(cells=len(cells), loops=[cell.facts() for cell in cells])
 
 
 def _cells(members: Sequence[Member]) -> list[Cell]:

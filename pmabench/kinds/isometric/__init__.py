@@ -1,6 +1,6 @@
 """Isometric tests of other programs: the line F = m P + c at each contraction.
 
-- `reduction`; `form` (late sensors, drift, unevenly sampled branches)
+- `reduction`, with what sensors and sampling make of a line
 """
 
 from dataclasses import replace

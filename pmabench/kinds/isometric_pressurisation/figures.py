@@ -13,9 +13,9 @@ from pmabench.base.quantities import show
 from pmabench.kinds.isometric_pressurisation.braid import ALPHAS, NAMES, Section
 from pmabench.kinds.isometric_pressurisation.curve import REST, Cell, pulling
 from pmabench.kinds.isometric_pressurisation.sections import Across
-from pmabench.plotting.chart import Series, of_points
+from pmabench.plotting.chart import Chart, Series
+from pmabench.plotting.looks import BLUE
 from pmabench.plotting.pictures import Picture, column, has, numbers, of_charts, unit_of
-from pmabench.plotting.plots import BLUE
 from pmabench.plotting.wording import shown
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Trace
 
@@ -202,7 +202,7 @@ def _section(trace: Trace, simulated: bool) -> Picture:
     point, line = np.isfinite(slope), np.isfinite(curve)
     band = np.where(np.isfinite(high - low), 0.5 * (high - low), 0.0)
     fitted_line = Series("", eps[line], curve[line], BLUE, half=band[line])
-    points = Series("", eps[point], slope[point], BLUE, True, half[point])
+    points = Series("", eps[point], slope[point], BLUE, "o", half[point])
     labels = (unit_of(trace, "contraction").label("contraction ε"), unit_of(trace, "slope").label("S"))
     length, fitted = shown("length"), "its parameters are in the table"
     if {*NAMES} <= set(trace.marks):
@@ -217,9 +217,9 @@ def _section(trace: Trace, simulated: bool) -> Picture:
         f"{labels[1]} over {labels[0]}: {int(point.sum())} slopes from {slope[point].max():.4g} down to "
         f"{slope[point].min():.4g}, and a curve through them with a band."
     )
-    chart = of_points([fitted_line, points], *labels, alt, simulated=simulated)
+    chart = Chart(*labels, (fitted_line, points), alt=alt)
     title, table = "Force by pressure, S, over contraction", numbers([("", trace)])
-    return of_charts([[chart]], title, caption, alt, table, simulated=simulated, still=True)
+    return of_charts([[chart]], title, caption, alt, table, simulated=simulated)
 
 
 def volumes(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
@@ -230,8 +230,8 @@ def volumes(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
         labels = (unit_of(trace, "contraction").label("contraction x"), unit_of(trace, "volume").label("V"))
         caption = "Volumes from the mass of air that a slow ramp of pressure lets in, with their 95 % intervals."
         alt = f"{labels[1]} over {labels[0]}: {len(V)} volumes from {V.min():.4g} to {V.max():.4g}."
-        points = Series("", x, V, BLUE, True, half)
-        chart = of_points([points], *labels, alt, simulated=analysis.simulated)
+        points = Series("", x, V, BLUE, "o", half)
+        chart = Chart(*labels, (points,), alt=alt)
         title, table = "Volume by mass flow", numbers([("", trace)])
-        found.append(of_charts([[chart]], title, caption, alt, table, simulated=analysis.simulated, still=True))
+        found.append(of_charts([[chart]], title, caption, alt, table, simulated=analysis.simulated))
     return found

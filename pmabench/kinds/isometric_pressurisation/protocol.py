@@ -14,8 +14,7 @@ from pydantic import BeforeValidator, Field, WithJsonSchema
 from pmabench.base.quantities import show
 from pmabench.files.document import Location, Strict
 from pmabench.files.quantity import Length, Pressure, PressureRate, Speed, Temperature, Time, Volume, parse_quantity
-from pmabench.protocol.accept import OF_TRIALS
-from pmabench.protocol.common import Compilation, ProtocolHead
+from pmabench.protocol.common import OF_TRIALS, Compilation, ProtocolHead
 from pmabench.protocol.driven import VENT_HOLD, not_too_fast, predicted_force
 from pmabench.protocol.plan import Hold, Plan, Ramp, Record, Set, Step
 from pmabench.protocol.sweep import Point, Sweep, expand

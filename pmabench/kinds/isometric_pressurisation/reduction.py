@@ -73,9 +73,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         *skew.findings(runs, CHANNELS, skew.apart(runs, CHANNELS), estimates),
         *zeros,
         *words,
+        *scales.findings(estimates, CHANNELS),
     ]
-    if estimates and (missing := scales.lack(CHANNELS)):
-        findings.append(Finding("note", missing))
     if cells and not estimates:
         findings.append(Finding("fault", "no straight part of F(P) at any contraction"))
     return Analysis.of(

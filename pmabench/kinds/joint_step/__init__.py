@@ -1,6 +1,6 @@
 """Steps and sines of a joint's angle in closed loop, with both muscles pulling.
 
-- `reduction`: one trial, then all of a point; figure and one trial on the display
+- `reduction`: one trial, then all of a point; figure
 - protocol files: `protocol`: pressures by a model or a measured map
 """
 
@@ -34,7 +34,7 @@ KIND = Kind(
     results=RESULTS,
     reduction="pmabench.kinds.joint_step.reduction:reduce",
     protocol="pmabench.kinds.joint_step.protocol:JointStep",
-    live="pmabench.kinds.joint_step.reduction:one_trial",
+    live="pmabench.kinds.reduce:of_one_trial",
     moves="angle",
     methods=METHODS,
     figures={"joint-step": "pmabench.kinds.joint_step.reduction:courses"},

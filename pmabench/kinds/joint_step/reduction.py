@@ -1,12 +1,12 @@
 """Reduction of steps and sines of a joint in closed loop: errors, times, gain and phase, each with an interval.
 
-Also the figure, and with `one_trial` the values of one trial for the display.
+Also the figure.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import hypot, pi
 from typing import Any
 
@@ -30,12 +30,12 @@ from pmabench.analysis.shared.samples import (
 )
 from pmabench.analysis.shared.signals import Response, respond
 from pmabench.analysis.shared.skew import late, off
-from pmabench.analysis.shared.trials import grouped, mean_of_trials, measured_trials, point_of
-from pmabench.analysis.trial import Expected, Found, Measured, Quick
+from pmabench.analysis.shared.trials import Reduction, mean_of_trials, point_of
 from pmabench.base.quantities import show
 from pmabench.kinds.joint_step import RESULTS
-from pmabench.plotting import time_plots
-from pmabench.plotting.pictures import Picture, bound, has, how_many, label, numbers, panel, picture, spread
+from pmabench.plotting.looks import BLUE, BROWN, QUIET
+from pmabench.plotting.motion import courses as courses_of
+from pmabench.plotting.pictures import Picture, curve, has, how_many, label, numbers, of_charts, spread
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -214,30 +214,25 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
 
     `options`: `window` [s], `band` [rad] and `begin` [s], in place of the plan's.
     """
-    courses, dropped = measured_trials(runs, lambda run, trial: course_of(run, trial, options or {}))
-    cells = grouped(courses, lambda one: point_of(one.trial))
-    scales = Scales.of(runs)
-    estimates, traces, findings = list[Estimate](), list[Trace](), list[Finding]()
-    for key, members in sorted(cells.items()):
+    result = Reduction.of("joint-step", RESULTS, runs, options, course_of)
+    for key, members in result.cells(lambda one: point_of(one.trial)):
         steps = [one for one in members if isinstance(one, Stepped)]
         sines = [one for one in members if isinstance(one, Swung)]
-        band = float(settings_of(members[0].run, options or {})["band"])
-        estimates += _of_steps(dict(key), steps, band) if steps else _of_sines(dict(key), sines, scales)
-        traces.append(_trace(dict(key), members[-1]))
+        band = float(settings_of(members[0].run, result.options)["band"])
+        result.estimates += _of_steps(dict(key), steps, band) if steps else _of_sines(dict(key), sines, result.scales)
+        result.traces.append(_trace(dict(key), members[-1]))
         if moves := max((one.moves for one in steps), default=0.0):
             text = f"{members[0].trial.name}: in the window of e_th the angle moves by up to {show(moves, 'angle', 2)}"
             text += ", by creep, a drift or a cycle, and e_th is what it is there. Hold longer, with a later window"
-            findings.append(Finding("doubt", text))
+            result.findings.append(Finding("doubt", text))
         if (most := max(one.saturated for one in members)) > SATURATED:
-            text = f"{members[0].trial.name}: a pressure was at its limit for {most:.0%} of the time"
-            findings.append(Finding("doubt", f"{text}: the joint is not as stiff as asked for, and the loop is slower"))
-    findings += [Finding("doubt", f"{one.trial}: {one.reason}") for one in dropped]
-    findings += scales.findings(estimates, ("angle",), ("angle",))
-    facts = {"options": dict(options or {}), "trials": len(courses)}
-    return Analysis.of(
-        "joint-step", runs, results=RESULTS, estimates=estimates, dropped=dropped, findings=findings, traces=traces,
-        facts=facts,
-    )  # fmt: skip
+            text = (
+                f"{members[0].trial.name}: a pressure was at its limit for {most:.0%} of the time: the joint is not as "
+            )
+            result.findings.append(Finding("doubt", f"{text}stiff as asked for, and the loop is slower"))
+    result.doubt_dropped()
+    result.note_lack(("angle",), ("angle",))
+    return result.analysis()
 
 
 def _of_steps(at: Mapping[str, float], steps: Sequence[Stepped], band: float) -> Iterator[Estimate]:
@@ -294,30 +289,16 @@ def courses(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     if not able:
         return []
     chosen = spread(able, MOST)
-    columns = {"t": "t", "x": "reference", "y": "angle"}
-    if all(has(trace, "pressure_1") for trace in chosen):
-        columns["P"] = "pressure_1"
-    panels = [replace(panel(trace, columns, trace.title), marks={}) for trace in chosen]
-    labels = {new: label(chosen[0], old) for new, old in columns.items()}
+    looks = [("reference", QUIET), ("angle", BLUE)]
+    looks += [("pressure_1", BROWN)] if all(has(trace, "pressure_1") for trace in chosen) else []
+    labels = [label(chosen[0], name) for name in ("t", *dict(looks))]
+    stacks = [(one.title, [curve(one, "t", name, "", color, width=1.0) for name, color in looks], ()) for one in chosen]
     caption = (
         "The reference, the angle that followed, and the pressure of muscle 1, in the last trial of each point; "
         f"muscle 2 does the opposite.{how_many(chosen, able)}"
     )
-    alt = f"{labels['y']} over {labels['t']} below its reference: {', '.join(trace.title for trace in chosen)}."
+    alt = f"{labels[2]} over {labels[0]} below its reference: {', '.join(trace.title for trace in chosen)}."
     table = numbers([(trace.title, trace) for trace in chosen])
-    drawn = bound(time_plots.steps, panels, labels)
-    wide = len(panels) > 1
-    return [picture(drawn, "Angle in closed loop", caption, alt, table, wide=wide, simulated=analysis.simulated)]
-
-
-def one_trial(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
-    """End error and settling time of a step; gain and phase of a sine."""
-    try:
-        one = course_of(run, trial, {})
-    except NotUsable as reason:
-        return [Measured("e_th", "angle", None), Measured("t_s", "time", None)], [str(reason)]
-    if isinstance(one, Swung):
-        answer = complex(one.answers.mean())
-        return [Measured("g_th", "ratio", abs(answer)), Measured("phi_th", "angle", float(np.angle(answer)))], []
-    doubts = [] if one.values["t_s"] is not None else ["the angle does not come into the band about its goal"]
-    return [Measured("e_th", "angle", one.values["e_th"]), Measured("t_s", "time", one.values["t_s"])], doubts
+    return [
+        of_charts(courses_of(stacks, labels), "Angle in closed loop", caption, alt, table, simulated=analysis.simulated)
+    ]

@@ -1,6 +1,6 @@
 """Slow sweeps of a joint's angle with constant pressures of its two muscles: torque, stiffness, gap and loop area.
 
-- `reduction`: one trial, then all, with figure and one trial on the display
+- `reduction`: one trial, then all; figure
 - protocol files: `protocol`
 """
 
@@ -35,7 +35,7 @@ KIND = Kind(
     results=RESULTS,
     reduction="pmabench.kinds.joint_sweep.reduction:reduce",
     protocol="pmabench.kinds.joint_sweep.protocol:JointSweep",
-    live="pmabench.kinds.joint_sweep.reduction:one_trial",
+    live="pmabench.kinds.reduce:of_one_trial",
     moves="angle",
     repeated="pmabench.kinds.joint_sweep.reduction:stiffness_of",
     repeated_is="stiffness",

@@ -8,8 +8,7 @@ from pydantic import Field
 
 from pmabench.files.document import Strict
 from pmabench.files.quantity import Angle, AngularSpeed, Time
-from pmabench.protocol.accept import OF_TRIALS
-from pmabench.protocol.common import Compilation, ProtocolHead
+from pmabench.protocol.common import OF_TRIALS, Compilation, ProtocolHead
 from pmabench.protocol.driven import MUSCLES, at_pressures, not_faster, vented
 from pmabench.protocol.plan import Plan, Ramp
 from pmabench.protocol.sweep import AngularSpeedAxis, PressureAxis, Sweep, expand

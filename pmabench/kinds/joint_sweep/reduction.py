@@ -1,7 +1,7 @@
 """Reduction of sweeps of a joint: torque, stiffness, gap and loop area, each with an interval.
 
 One sweep: its loop, the stiffness of its cycles, and what its record shows against them; then all of a point. Also the
-figure, and with `one_trial` the values of one trial for the display.
+figure.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ from pmabench.analysis.shared.joint import AXES, BY_PRESSURE, CUT, MUSCLES, STIF
 from pmabench.analysis.shared.lines import left_by
 from pmabench.analysis.shared.ramp_loop import Loop, Turns, fading, measure
 from pmabench.analysis.shared.samples import NotUsable, ends, on_time, settings_of
-from pmabench.analysis.shared.trials import grouped, measured_trials
-from pmabench.analysis.trial import Expected, Found, Measured, Quick
+from pmabench.analysis.shared.trials import Reduction, grouped
 from pmabench.base.quantities import show
 from pmabench.kinds.joint_sweep import RESULTS
-from pmabench.plotting import time_plots
+from pmabench.plotting.chart import Chart, small_multiples
+from pmabench.plotting.looks import BLUE, INK
 from pmabench.plotting.pictures import (
     Picture,
-    bound,
+    crosses,
+    curve,
     has,
     head,
     how_many,
     label,
     numbers,
-    panel,
-    picture,
+    of_charts,
     reach,
     spread,
 )
@@ -191,23 +191,18 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     gives the slope of the hysteresis instead, three times as much). A sweep that is too small is refused with the
     reason. `options`: `discard` (cycles at the start; else the plan's setting, else 1).
     """
-    options = options or {}
-    sweeps, dropped = _sweeps(runs, options)
-    scales = Scales.of(runs)
-    estimates, findings, traces = list[Estimate](), list[Finding](), list[Trace]()
-    for at, members in _cells(sweeps).items():
-        estimates += _estimates(dict(at), members, scales)
-        traces.append(_trace(dict(at), members[-1]))
-    findings += [Finding("doubt", f"{one.trial}: {one.reason}") for one in dropped]
-    for one, turns in ((one, one.loop.turns) for one in sweeps):
+    result = _sweeps(runs, options)
+    for at, members in _cells(result.measured).items():
+        result.estimates += _estimates(dict(at), members, result.scales)
+        result.traces.append(_trace(dict(at), members[-1]))
+    result.doubt_dropped()
+    for one, turns in ((one, one.loop.turns) for one in result.measured):
         if turns is not None:
             text = f"{one.trial.name}: a turn fades on w = {show(turns.w, 'angle', 3)}; 3 w are cut after each"
-            findings.append(Finding("note", text))
-    findings += joint.findings(runs, [(one.trial.point, one.kept) for one in sweeps], scales, estimates)
-    facts = {"options": dict(options), "trials": len(sweeps)}
-    return Analysis.of(
-        KIND, runs, results=RESULTS, estimates=estimates, dropped=dropped, findings=findings, traces=traces, facts=facts
-    )
+            result.findings.append(Finding("note", text))
+    kept = [(one.trial.point, one.kept) for one in result.measured]
+    result.findings += joint.findings(runs, kept, result.scales, result.estimates)
+    return result.analysis()
 
 
 def stiffness_of(run: RunData, trial: TrialData) -> float:
@@ -215,25 +210,26 @@ def stiffness_of(run: RunData, trial: TrialData) -> float:
     return float(sweep_of(run, trial, {}).stiffness.mean())
 
 
-def _sweeps(runs: Sequence[RunData], options: Mapping[str, Any]) -> tuple[list[Sweep], list[Dropped]]:
+def _sweeps(runs: Sequence[RunData], options: Mapping[str, Any] | None) -> Reduction[Sweep]:
     """The usable trials, without those of a point where at least as many loops have another form."""
     off: dict[tuple[float, ...], list[str]] = {}
 
-    def measured(run: RunData, trial: TrialData) -> Sweep:
+    def measured(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Sweep:
         try:
             return sweep_of(run, trial, options)
         except OffForm as reason:
             off.setdefault(_place(trial.point), []).append(str(reason))
             raise
 
-    sweeps, dropped = measured_trials(runs, measured)
-    alike = [_place(one.trial.point) for one in sweeps]
+    result = Reduction.of(KIND, RESULTS, runs, options, measured)
+    alike = [_place(one.trial.point) for one in result.measured]
     spoiled = {place for place, reasons in off.items() if len(reasons) >= alike.count(place)}
-    for one, place in zip(sweeps, alike, strict=True):
+    for one, place in zip(result.measured, alike, strict=True):
         if place in spoiled:
             text = f"half of the sweeps at this point, or more, have another form, so it tells nothing: {off[place][0]}"
-            dropped.append(Dropped(one.trial.name, one.trial.point, text))
-    return [one for one, place in zip(sweeps, alike, strict=True) if place not in spoiled], dropped
+            result.dropped.append(Dropped(one.trial.name, one.trial.point, text))
+    result.measured = [one for one, place in zip(result.measured, alike, strict=True) if place not in spoiled]
+    return result
 
 
 COORDINATES = (*MUSCLES, "angular_speed", "lowest_angle", "highest_angle")
@@ -343,31 +339,19 @@ def loops(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     if not able:
         return []
     chosen = spread(able, PANELS)
-    panels = []
-    for trace in chosen:
-        mean = panel(trace, {"x": "angle", "y": "mean"}, "") if has(trace, "mean") else None
-        panels.append((head(trace), [("loop", panel(trace, {"x": "angle", "y": "torque"}, ""))], mean))
-    labels = {"x": label(chosen[0], "angle"), "y": label(chosen[0], "torque")}
+    labels = label(chosen[0], "angle"), label(chosen[0], "torque")
+    charts = []
+    for trace, theirs in zip(chosen, crosses(chosen, "angle", "torque"), strict=True):
+        lines = [curve(trace, "angle", "torque", "loop", BLUE, width=1.0)]
+        lines += [curve(trace, "angle", "mean", "mean", INK, width=1.0, dashed=True)] if has(trace, "mean") else []
+        charts.append(Chart(*labels, (*lines, *theirs), title=head(trace), legend=True))
     gaps, slopes = (reach([trace.marks[name] for trace in chosen]) for name in ("H_tau", "K_th"))
     caption = (
         "The last cycle, and the mean of its branches without what the turns leave in it: what a model without "
         f"hysteresis is to give. Gap at mid sweep, falling minus rising angle: {gaps} N·m; stiffness there: {slopes} "
         f"N·m/rad.{how_many(chosen, able)}"
     )
-    alt = f"{labels['y']} over {labels['x']} as loops: {', '.join(title for title, *_ in panels)}, with the mean curve."
+    alt = f"{labels[1]} over {labels[0]} as loops: {', '.join(map(head, chosen))}, with the mean curve."
     table = numbers([(head(trace), trace) for trace in chosen])
-    wide = len(panels) > 1
-    drawn = bound(time_plots.loops, panels, labels)
-    return [picture(drawn, "Torque over angle", caption, alt, table, wide=wide, simulated=analysis.simulated)]
-
-
-def one_trial(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
-    """Stiffness, and gap of the branches at mid sweep."""
-    try:
-        one = sweep_of(run, trial, {})
-    except NotUsable as reason:
-        return [Measured("K_th", "torsional stiffness", None), Measured("H_tau", "torque", None)], [str(reason)]
-    gap, noise = float(one.loop.middle_gap.mean()), one.loop.noise
-    wrong = "the torque is larger while the angle rises: a wrong sign, or angle and torque apart in time"
-    K = Measured("K_th", "torsional stiffness", float(one.stiffness.mean()))
-    return [K, Measured("H_tau", "torque", gap, noise=noise)], [wrong] if gap < -max(noise, 1e-3) else []
+    rows = small_multiples(charts, 3)
+    return [of_charts(rows, "Torque over angle", caption, alt, table, simulated=analysis.simulated)]

@@ -1,6 +1,6 @@
 """Isometric torque of a joint over its angle for pairs of pressures: maps of torque and stiffness.
 
-- `reduction`: all trials of a pair of pressures, made of `staircase` (one trial); figure and one trial on the display
+- `reduction`: all trials of a pair of pressures, made of `staircase` (one trial); figure
 - protocol files: `protocol`
 """
 
@@ -42,7 +42,7 @@ KIND = Kind(
     results=RESULTS,
     reduction="pmabench.kinds.joint_torque.reduction:reduce",
     protocol="pmabench.kinds.joint_torque.protocol:JointTorque",
-    live="pmabench.kinds.joint_torque.reduction:one_trial",
+    live="pmabench.kinds.reduce:of_one_trial",
     moves="angle",
     repeated="pmabench.kinds.joint_torque.reduction:gap_of",
     repeated_is="gap",

@@ -1,7 +1,6 @@
 """Reduction of torques at locked angles: maps of torque and stiffness, each value with an interval.
 
-A torque whose zero drifts, and planes over the pressures at each angle; all trials of a pair of pressures; the figure,
-and with `one_trial` the values of one trial for the display.
+A torque whose zero drifts, and planes over the pressures at each angle; all trials of a pair of pressures; the figure.
 """
 
 from __future__ import annotations
@@ -18,15 +17,15 @@ from pmabench.analysis.shared import joint, student
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.joint import BY_PRESSURE, CUT, MUSCLES, STIFFNESS, TORQUE
-from pmabench.analysis.shared.samples import Left, NotUsable, lag_open, left
-from pmabench.analysis.shared.trials import grouped, measured_trials
-from pmabench.analysis.trial import Expected, Found, Measured, Quick
+from pmabench.analysis.shared.samples import Left, lag_open, left
+from pmabench.analysis.shared.trials import Reduction, grouped
 from pmabench.base.quantities import show
 from pmabench.kinds.joint_torque import RESULTS
 from pmabench.kinds.joint_torque.staircase import ORDERS, ROUNDED, Staircase, ramps_of, staircase_of
-from pmabench.plotting import time_plots
-from pmabench.plotting.pictures import Picture, bound, has, how_many, label, numbers, panel, picture, spread, unit_of
-from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace, withhold
+from pmabench.plotting.chart import ZERO, Chart, small_multiples
+from pmabench.plotting.looks import PALETTE
+from pmabench.plotting.pictures import Picture, curve, has, how_many, label, numbers, of_charts, spread, unit_of
+from pmabench.store.analyses.results import Analysis, Estimate, Parts, Trace, withhold
 from pmabench.store.records import Array, RunData, TrialData
 
 SURE = 0.9995
@@ -163,9 +162,9 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     With three levels of each pressure and five pairs or more, also torque by pressure s_1, s_2 [N m/Pa] and tau_0 [N m]
     at each angle. `options`: `angles` [rad], in place of the plan's.
     """
-    staircases, dropped = measured_trials(runs, lambda run, trial: staircase_of(run, trial, options or {}))
-    staircases = _with_flanks(staircases)
-    scales = Scales.of(runs)
+    result = Reduction.of(KIND, RESULTS, runs, options, staircase_of)
+    result.measured = staircases = _with_flanks(result.measured)
+    scales = result.scales
     cells: Cells = grouped(staircases, lambda one: tuple(round(one.trial.point[name], 3) for name in MUSCLES))
     estimates = list[Estimate]()
     # change of the torque after the mean of a rest [N.m], rising and falling: mean of all rests of all trials
@@ -178,18 +177,10 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     planes = list(plane_estimates(torques, scales, drift))
     largest = max((abs(e.value) for e in torques if e.value is not None), default=0.0)
     estimates = [drift.weigh(e, drift.by(e), largest) if e.symbol == "tau" else e for e in estimates] + planes
-    findings = [Finding("doubt", f"{one.trial}: {one.reason}") for one in dropped]
-    findings += joint.findings(runs, [(one.trial.point, one.kept) for one in staircases], scales, estimates)
-    return Analysis.of(
-        KIND,
-        runs,
-        results=RESULTS,
-        estimates=estimates,
-        dropped=dropped,
-        findings=findings,
-        traces=list(_map(cells, estimates)),
-        facts={"options": dict(options or {}), "trials": len(staircases)},
-    )
+    result.estimates, result.traces = estimates, list(_map(cells, estimates))
+    result.doubt_dropped()
+    result.findings += joint.findings(runs, [(one.trial.point, one.kept) for one in staircases], scales, estimates)
+    return result.analysis()
 
 
 SHOWN = 1 / 3
@@ -377,31 +368,24 @@ def maps(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
         if not able:
             continue
         chosen = spread(able, MOST)
-        panels = []
-        for name in chosen:
-            columns = {"x": "angle", "y": f"torque at {name}", "gap": f"stiffness at {name}"}
-            panels.append(panel(trace, columns, name.replace(" kPa and ", ", ")))
-        units = (unit_of(trace, f"{what} at {chosen[0]}").label(what) for what in ("torque", "stiffness"))
-        labels = dict(zip(("x", "y", "gap"), (label(trace, "angle"), *units), strict=True))
+        labels = [unit_of(trace, f"{what} at {chosen[0]}").label(what) for what in ("torque", "stiffness")]
+        torque, stiffness = (
+            [
+                curve(trace, "angle", f"{what} at {name}", said, PALETTE[n % len(PALETTE)])
+                for n, name in enumerate(chosen)
+                for said in [name.replace(" kPa and ", ", ") if what == "torque" else ""]
+            ]
+            for what in ("torque", "stiffness")
+        )
+        upper = Chart(label(trace, "angle"), labels[0], torque, height=150.0)
+        lower = Chart(label(trace, "angle"), labels[1], stiffness, height=96.0, levels=(ZERO,), y_ticks=3)
+        rows = small_multiples([(upper, lower)], 1)
         caption = (
             "Above the torque that the joint holds at each angle, the mean of both sides; below its stiffness, minus "
             f"the slope of that torque. A line for each pair of pressures of muscle 1 and muscle 2."
             f"{how_many(chosen, able)}"
         )
-        alt = f"{labels['y']} and {labels['gap']} over {labels['x']} at {', '.join(chosen)}."
-        drawn, table = bound(time_plots.means, panels, labels), numbers([("", trace)])
-        title = "Torque and stiffness over angle"
-        found.append(picture(drawn, title, caption, alt, table, wide=False, simulated=analysis.simulated))
+        alt = f"{labels[0]} and {labels[1]} over {upper.x_label} at {', '.join(chosen)}."
+        table, title = numbers([("", trace)]), "Torque and stiffness over angle"
+        found.append(of_charts(rows, title, caption, alt, table, simulated=analysis.simulated))
     return found
-
-
-def one_trial(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
-    """Gap between both sides, and the stiffness at the angle in the middle."""
-    try:
-        one = staircase_of(run, trial, {})
-    except NotUsable as reason:
-        return [Measured("K_th", "torsional stiffness", None), Measured("H_tau", "torque", None)], [str(reason)]
-    why = one.why_no_stiffness
-    stiffness = None if why else float(one.stiffness().mean(axis=0)[one.open.sum() // 2])
-    K, gap = Measured("K_th", "torsional stiffness", stiffness), float(one.gap[:, one.open].mean())
-    return [K, Measured("H_tau", "torque", gap, noise=one.rests.noise)], [why] if why else []

@@ -1,7 +1,7 @@
 """Steps of attitude of a platform that is tilted by three muscles: settling time, overshoot, end error, valve openings.
 
 - `reduction`: one step, checks of the accelerometer; then all steps of an attitude
-- protocol files: `protocol`; figures and one trial on the display: `figures`
+- protocol files: `protocol`; figures: `figures`
 """
 
 from pmabench.base.kind import Kind, Result
@@ -32,7 +32,7 @@ KIND = Kind(
     results=RESULTS,
     reduction="pmabench.kinds.platform_step.reduction:reduce",
     protocol="pmabench.kinds.platform_step.protocol:PlatformSteps",
-    live="pmabench.kinds.platform_step.figures:measure",
+    live="pmabench.kinds.reduce:of_one_trial",
     methods=METHODS,
     figures={"attitude": "pmabench.kinds.platform_step.figures:attitudes"},
     front={"attitude": "pmabench.kinds.platform_step.figures:attitudes"},

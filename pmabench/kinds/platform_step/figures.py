@@ -1,40 +1,17 @@
-"""Figures of steps of a platform: attitude with its reference, and the three pressures.
-
-`measure`: the values of one trial, for the display.
-"""
+"""Figures of steps of a platform: attitude with its reference, and the three pressures."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from math import ceil
-from typing import TYPE_CHECKING
 
-from pmabench.analysis.shared.samples import NotUsable
-from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.kinds.platform_step import MUSCLES
-from pmabench.kinds.platform_step.reduction import course_of
-from pmabench.plotting.pictures import Picture, bound, has, head, how_many, label, numbers, panel, picture, spread
-from pmabench.plotting.plots import (
-    BLUE,
-    BROWN,
-    FULL,
-    INK,
-    PALETTE,
-    Panel,
-    blank,
-    few_ticks,
-    grid,
-    legend_above,
-)
+from pmabench.plotting.chart import PAGE, Chart, small_multiples
+from pmabench.plotting.looks import BLUE, BROWN, INK, PALETTE
+from pmabench.plotting.pictures import Picture, curve, has, head, how_many, label, numbers, of_charts, spread
 from pmabench.store.analyses.results import Analysis, Trace
-from pmabench.store.records import RunData, TrialData
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-DASHED = (0, (4, 3))
 COLUMNS, MOST = 3, 6
+UPPER, LOWER = 120.0, 90.0
 SHOWN = ("t", "phi", "psi", "reference_phi", "reference_psi", *MUSCLES, "wanted_1", "wanted_2", "wanted_3")
 
 
@@ -44,56 +21,30 @@ def attitudes(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     if not able:
         return []
     chosen = spread(able, MOST)
-    panels = [panel(trace, {name: name for name in SHOWN}, head(trace)) for trace in chosen]
-    labels = {"t": label(chosen[0], "t"), "angle": "phi, psi [deg]", "pressure": "pressure [kPa]"}
     caption = (
         "Above: attitude from the accelerometer without what its height adds, and the reference that it is to follow "
         "(dashed). Below: pressures of muscles 1 to 3, and what was wanted (dashed). The step is at 0 s."
         f"{how_many(chosen, able)}"
     )
-    alt = f"Attitude and pressures over time: {'; '.join(one.title for one in panels)}."
+    alt = f"Attitude and pressures over time: {'; '.join(map(head, chosen))}."
     table = numbers([(head(trace), trace) for trace in chosen], SHOWN[:8])
-    draw = bound(_drawn, panels, labels)
-    return [picture(draw, "Attitude of the platform", caption, alt, table, wide=True, simulated=analysis.simulated)]
+    rows = small_multiples(list(map(_charts, chosen)), COLUMNS, width=PAGE)
+    return [of_charts(rows, "Attitude of the platform", caption, alt, table, simulated=analysis.simulated)]
 
 
-def _drawn(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
-    columns = min(COLUMNS, len(panels))
-    rows = ceil(len(panels) / columns)
-    figure = blank(FULL, 0.55 + 2.7 * rows)
-    outer = grid(figure, rows, columns, top=0.5, left=0.75, across=0.5, down=0.6)
-    for i, one in enumerate(panels):
-        inner = outer[i].subgridspec(2, 1, height_ratios=(1.6, 1.2), hspace=0.14)
-        upper, lower = (figure.add_subplot(inner[place]) for place in range(2))
-        t, first = one.columns["t"], i % columns == 0
-        for axis, color in (("phi", BLUE), ("psi", BROWN)):
-            upper.plot(t, one.columns[axis], color=color, linewidth=1.0, label=axis)
-            upper.plot(t, one.columns[f"reference_{axis}"], color=INK, linewidth=0.7, linestyle=DASHED)
-        for number, name in enumerate(MUSCLES, start=1):
-            color = PALETTE[number - 1]
-            lower.plot(t, one.columns[name], color=color, linewidth=0.8)
-            lower.plot(t, one.columns[f"wanted_{number}"], color=color, linewidth=0.5, linestyle=DASHED)
-        upper.set_title(one.title)
-        upper.tick_params(labelbottom=False)
-        for axes in (upper, lower):
-            few_ticks(axes, y=4)
-            axes.set_xlim(float(t[0]), float(t[-1]))
-        if first:
-            upper.set_ylabel(labels["angle"])
-            lower.set_ylabel(labels["pressure"])
-            figure.align_ylabels([upper, lower])
-        lower.set_xlabel(labels["t"])
-    legend_above(figure, 2)
-    return figure
-
-
-def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
-    """Time to within 1 deg, overshoot and end error."""
-    try:
-        one = course_of(run, trial)
-    except NotUsable as reason:
-        return [Measured("t_1", "time", None), Measured("OS_q", "angle", None)], [str(reason)]
-    time = one.settled()
-    doubts = [] if time is not None else ["it does not stay within 1 deg in the second half of the hold"]
-    found = [Measured("t_1", "time", time), Measured("OS_q", "angle", one.overshoot, noise=one.noise)]
-    return [*found, Measured("e_q", "angle", math.hypot(*one.ends()), noise=one.noise)], doubts
+def _charts(trace: Trace) -> list[Chart]:
+    """Attitude, and pressures below, of one trial."""
+    t = label(trace, "t")
+    angles = [(axis, axis, color, False) for axis, color in (("phi", BLUE), ("psi", BROWN))]
+    angles += [("reference" if axis == "phi" else "", f"reference_{axis}", INK, True) for axis in ("phi", "psi")]
+    pressures = []
+    for n, (name, color) in enumerate(zip(MUSCLES, PALETTE[2:], strict=False), start=1):
+        pressures += [(f"muscle {n}", name, color, False), ("", f"wanted_{n}", color, True)]
+    upper, lower = (
+        [curve(trace, "t", name, word, color, width=0.8, dashed=dashed) for word, name, color, dashed in lines]
+        for lines in (angles, pressures)
+    )
+    return [
+        Chart(t, "phi, psi [deg]", upper, height=UPPER, title=head(trace), legend=True),
+        Chart(t, "pressure [kPa]", lower, height=LOWER, legend=True, y_ticks=4),
+    ]

@@ -12,8 +12,7 @@ from pmabench.bench.files.specimen import above_zero
 from pmabench.files.document import Strict
 from pmabench.files.quantity import Pressure, Time, TorqueRate, TorsionalStiffness
 from pmabench.kinds.platform_step import ACCELERATIONS, MUSCLES
-from pmabench.protocol.accept import OF_TRIALS
-from pmabench.protocol.common import Compilation, ProtocolHead
+from pmabench.protocol.common import OF_TRIALS, Compilation, ProtocolHead
 from pmabench.protocol.plan import Control, Plan, Record
 from pmabench.protocol.sweep import AngleAxis, Point, Sweep, expand
 

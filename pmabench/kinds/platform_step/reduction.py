@@ -18,7 +18,7 @@ from pmabench.analysis.shared.calibration import Scales, changes
 from pmabench.analysis.shared.form import MOST_HIDDEN, Doubt, weighed
 from pmabench.analysis.shared.samples import NotUsable, count_of, lag_open, noise_of, on_time, settings_of
 from pmabench.analysis.shared.skew import off
-from pmabench.analysis.shared.trials import grouped, mean_of_trials, measured_trials
+from pmabench.analysis.shared.trials import Reduction, grouped, mean_of_trials
 from pmabench.base.errors import UsageError
 from pmabench.base.quantities import show
 from pmabench.kinds.platform_step import ACCELERATIONS, MUSCLES, RESULTS, VALVES
@@ -268,23 +268,19 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             f"runs with the chains {' and '.join(chains)} are no repeats of each other: process each by itself, then "
             "compare the two analyses"
         )
-    scales = Scales.of(runs)
-    courses, dropped = measured_trials(runs, course_of)
-    estimates, traces = list[Estimate](), list[Trace]()
-    cells = grouped(courses, lambda one: (str(one.law["chain"]), round(one.goal[0], 9), round(one.goal[1], 9)))
+    result = Reduction.of(KIND, RESULTS, runs, options, lambda run, trial, _: course_of(run, trial))
+    cells = grouped(result.measured, lambda one: (str(one.law["chain"]), round(one.goal[0], 9), round(one.goal[1], 9)))
     for (chain, phi, psi), members in cells.items():
-        estimates += _estimates(f"chain {chain}", {"phi": phi, "psi": psi}, members, courses, scales)
-        traces.append(_trace(chain, members[-1]))
-    findings = [Finding("doubt", f"{one.trial}: {one.reason}") for one in dropped]
-    for one in (one for one in courses if one.law["saturated"] > 0):
+        at = {"phi": phi, "psi": psi}
+        result.estimates += _estimates(f"chain {chain}", at, members, result.measured, result.scales)
+        result.traces.append(_trace(chain, members[-1]))
+    result.doubt_dropped()
+    for one in (one for one in result.measured if one.law["saturated"] > 0):
         share = show(float(one.law["saturated"]), "ratio", 2)
         text = f"{one.trial.name}: in {share} of the periods limits of pressures forbade the wanted moment"
-        findings.append(Finding("note", text))
-    findings += scales.findings(estimates, (), ACCELERATIONS[:2])
-    facts = {"options": dict(options or {}), "trials": len(courses)}
-    return Analysis.of(
-        KIND, runs, results=RESULTS, estimates=estimates, dropped=dropped, findings=findings, traces=traces, facts=facts
-    )
+        result.findings.append(Finding("note", text))
+    result.note_lack((), ACCELERATIONS[:2])
+    return result.analysis()
 
 
 def _estimates(

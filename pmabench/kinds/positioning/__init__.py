@@ -1,7 +1,7 @@
 """Positions held in closed loop: error, overshoot, settling, limit cycle.
 
-- `reduction` of holds; `paths`: the samples of a loop, and trials along a path
-- protocol files: `protocol`, with `controller`: its gains; figures and one trial on the display: `figures`
+- `reduction` of holds and of trials along a path
+- protocol files, and gains of the controller: `protocol`; figures and one trial on the display: `figures`
 """
 
 from pmabench.base.kind import Kind, Result

@@ -1,6 +1,6 @@
 """Steps of pressure recorded by other programs: dead time, rise, stroke, and K and B from ringing.
 
-- `reduction` of the result of `step`, with `motion`; `ringing`: K and B with a known mass
+- `reduction` of the result of `step`, with `motion`
 """
 
 from pmabench.base.kind import Imported, Kind, Result

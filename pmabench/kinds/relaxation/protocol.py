@@ -9,8 +9,7 @@ from pydantic import Field
 from pmabench.base.quantities import show
 from pmabench.files.document import Strict
 from pmabench.files.quantity import Speed, Time
-from pmabench.protocol.accept import OF_TRIALS
-from pmabench.protocol.common import Compilation, ProtocolHead
+from pmabench.protocol.common import OF_TRIALS, Compilation, ProtocolHead
 from pmabench.protocol.driven import bearable, leave, not_too_fast
 from pmabench.protocol.plan import Hold, Plan, Ramp, Record, Set, TrialRecord
 from pmabench.protocol.sweep import LengthAxis, PressureAxis, Sweep, expand

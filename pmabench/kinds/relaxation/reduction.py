@@ -22,14 +22,14 @@ from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.samples import NotUsable, autocorrelation, noise_of, refuse_unusable, settings_of
 from pmabench.analysis.shared.student import half_of_trials
-from pmabench.analysis.shared.trials import grouped, measured_trials
+from pmabench.analysis.shared.trials import Reduction
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.kinds.relaxation import RESULTS
-from pmabench.plotting.chart import Series, of_points
+from pmabench.plotting.chart import Chart, Series
+from pmabench.plotting.looks import PALETTE
 from pmabench.plotting.pictures import Picture, column, has, head, how_many, numbers, of_charts, spread, unit_of
-from pmabench.plotting.plots import PALETTE
-from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace
+from pmabench.store.analyses.results import Analysis, Estimate, Parts, Trace
 from pmabench.store.records import Array, Command, RunData, TrialData
 
 PER_DECADE = 20
@@ -357,26 +357,15 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     F = F_1 (1 - s log10(t/1 s)), with t counted from half of the pressure step, used from `begin` on. `options`:
     `begin` [s], in place of the plan's.
     """
-    courses, dropped = measured_trials(runs, lambda run, trial: measure(run, trial, options or {}))
-    cells = grouped(courses, _place)
-    scales = Scales.of(runs)
-    estimates: list[Estimate] = []
-    findings: list[Finding] = []
-    for (x, P), group in sorted(cells.items()):
+    result = Reduction.of(KIND, RESULTS, runs, options, measure)
+    cells = result.cells(_place)
+    for (x, P), group in cells:
         at = {"pressure": P, "contraction": x}
-        estimates += [*_line(at, group, scales), *_prony(at, group, scales)]
-    if estimates and (lack := scales.lack(("force",))):
-        findings.append(Finding("note", lack))
-    return Analysis.of(
-        KIND,
-        runs,
-        results=RESULTS,
-        estimates=sorted(estimates, key=lambda e: e.method != LINE),
-        dropped=dropped,
-        findings=findings,
-        traces=[_trace(x, P, group[0]) for (x, P), group in sorted(cells.items())],
-        facts={"options": dict(options or {}), "trials": len(courses), "cells": len(cells)},
-    )
+        result.estimates += [*_line(at, group, result.scales), *_prony(at, group, result.scales)]
+        result.traces.append(_trace(x, P, group[0]))
+    result.estimates.sort(key=lambda e: e.method != LINE)
+    result.note_lack(("force",))
+    return result.analysis(cells=len(cells))
 
 
 def _place(one: Course) -> tuple[float, float]:
@@ -472,13 +461,13 @@ def courses(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     table = numbers([(head(t), t) for t in chosen])
     title, simulated = "Force over time after the step", analysis.simulated
     series = [one for i, trace in enumerate(chosen) for one in _series(trace, PALETTE[i % len(PALETTE)])]
-    chart = of_points(series, *labels, alt, simulated=simulated)
-    return [of_charts([[chart]], title, caption, alt, table, simulated=simulated, still=True)]
+    chart = Chart(*labels, tuple(series), alt=alt, legend=True)
+    return [of_charts([[chart]], title, caption, alt, table, simulated=simulated)]
 
 
 def _series(trace: Trace, color: str) -> list[Series]:
     x = np.log10(column(trace, "t"))
-    return [Series("", x, column(trace, "line"), color), Series(head(trace), x, column(trace, "force"), color, True)]
+    return [Series("", x, column(trace, "line"), color), Series(head(trace), x, column(trace, "force"), color, "o")]
 
 
 def one_trial(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:

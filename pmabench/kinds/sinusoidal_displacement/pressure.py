@@ -24,7 +24,9 @@ from pmabench.analysis.shared.trials import grouped, point_by, thinned
 from pmabench.base.quantities import show
 from pmabench.kinds.sinusoidal_displacement.fit import Member, Muscle, of_cycles
 from pmabench.kinds.sinusoidal_displacement.form import rows_of_cycles
-from pmabench.plotting import pictures, time_plots
+from pmabench.plotting import pictures
+from pmabench.plotting.chart import ZERO, Chart, closed, small_multiples
+from pmabench.plotting.looks import BLUE, BROWN, FAINT, INK
 from pmabench.plotting.wording import shown
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array
@@ -245,18 +247,36 @@ def sine_pressure(traces: Sequence[Trace], analysis: Analysis) -> list[pictures.
     chosen = pictures.spread(sorted(able, key=lambda t: (t.marks.get("pressure", 0.0), t.marks["frequency"])), SINES)
     if not chosen:
         return []
-    names = {"x": "displacement", "y": "force", "set": "set", "model": "measured", "error": "error"}
-    panels = [pictures.panel(t, names, pictures.head(t)) for t in chosen]
-    error = shown("pressure").label("P − set P")
-    labels = {"x": pictures.label(chosen[0], "displacement"), "y": pictures.label(chosen[0], "force"), "error": error}
-    worst = [float(np.nanmax(np.abs(p.columns["error"]))) for p in panels]
+    titles = [pictures.head(t) for t in chosen]
+    worst = [float(np.nanmax(np.abs(pictures.column(t, "error")))) for t in chosen]
     caption = (
         "Above: the last cycle, and the static model of the slowest sines with the set pressure as input and with the "
         "measured one, damping and friction of the harmonics added. Below: error of the pressure, at most "
         f"{pictures.reach(worst)} {shown('pressure').unit}.{pictures.how_many(chosen, able)}"
     )
-    alt = f"Force and pressure error over contraction along sines at {'; '.join(p.title for p in panels)}."
-    draw = pictures.bound(time_plots.sine_pressure, panels, labels)
-    table = pictures.numbers([(p.title, t) for p, t in zip(panels, chosen, strict=True)])
+    alt = f"Force and pressure error over contraction along sines at {'; '.join(titles)}."
+    rows = small_multiples([_charts(trace) for trace in chosen], 4)
+    table = pictures.numbers(list(zip(titles, chosen, strict=True)))
     title = "Force with set and with measured pressure"
-    return [pictures.picture(draw, title, caption, alt, table, wide=len(chosen) > 1, simulated=analysis.simulated)]
+    return [pictures.of_charts(rows, title, caption, alt, table, simulated=analysis.simulated)]
+
+
+LOOPS = (
+    ("force", "measured", FAINT, 3.0, False),
+    ("set", "set pressure", BLUE, 1.0, False),
+    ("measured", "measured pressure", BROWN, 1.0, True),
+)
+"""Column, name, colour, width and whether it is dashed."""
+
+
+def _charts(trace: Trace) -> tuple[Chart, Chart]:
+    """Loops over x of the force and of both models, and of the error below."""
+    x, y = pictures.label(trace, "displacement"), pictures.label(trace, "force")
+    lines = [
+        closed(pictures.curve(trace, "displacement", name, word, color, width=width, dashed=dashed))
+        for name, word, color, width, dashed in LOOPS
+    ]
+    error = closed(pictures.curve(trace, "displacement", "error", "", INK, width=1.0))
+    apart = shown("pressure").label("P − set P")
+    upper = Chart(x, y, lines, height=142.0, title=pictures.head(trace), legend=True)
+    return upper, Chart(x, apart, (error,), height=100.0, y_ticks=4, levels=(ZERO,))

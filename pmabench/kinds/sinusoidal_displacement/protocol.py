@@ -9,8 +9,7 @@ from pydantic import Field
 
 from pmabench.files.document import Location, Strict
 from pmabench.files.quantity import Length, Speed, Time
-from pmabench.protocol.accept import OF_TRIALS
-from pmabench.protocol.common import Compilation, ProtocolHead
+from pmabench.protocol.common import OF_TRIALS, Compilation, ProtocolHead
 from pmabench.protocol.driven import along_sine, arrive, bearable, leave, not_pushed_together, not_too_fast
 from pmabench.protocol.plan import Follow, Hold, Plan, Record, TrialRecord
 from pmabench.protocol.sweep import FrequencyAxis, LengthAxis, Point, PressureAxis, Sweep, expand

@@ -27,7 +27,7 @@ from pmabench.analysis.shared.form import (
 from pmabench.analysis.shared.ramp_loop import LATE
 from pmabench.analysis.shared.samples import PLACES, STEPS, NotUsable, lag_open, noise_of, rounded, settings_of
 from pmabench.analysis.shared.sine_loop import Sine, along, evaluate, measure
-from pmabench.analysis.shared.trials import Point, grouped, measured_trials, point_by, thinned
+from pmabench.analysis.shared.trials import Point, Reduction, grouped, point_by, thinned
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.analysis.verdict.agreement import Offer, exactly, values_of
 from pmabench.base.quantities import show
@@ -61,39 +61,35 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     between displacement and force, to which that of their streams' clocks is added; else the plan's setting; without
     either, the lag of the force cell is an uncertainty), `force_per_pressure` dF/dP [N/Pa].
     """
-    options = options or {}
-    members, dropped = measured_trials(
-        runs, lambda run, trial: Member.of(run, trial, float(settings_of(run, options).get("discard", 1)))
-    )
-    members, findings = _even_pressure(_as_alike(members), options)
-    scales = Scales.of(runs)
-    estimates, traces, lines = list[Estimate](), list[Trace](), list[dict[str, Any]]()
-    fits, stated = _fits(members, options)
+    result = Reduction.of(KIND, RESULTS, runs, options, _member)
+    result.measured, result.findings = _even_pressure(_as_alike(result.measured), result.options)
+    members, scales, lines = result.measured, result.scales, list[dict[str, Any]]()
+    fits, stated = _fits(members, result.options)
     rising, changing = mean_force.force_slopes(fits), _over_pressure(fits)
     for key, fitted in fits.items():
         at, form, slopes = dict(key), fitted.form, changing.get(key)
         cell = Cell(at, scales, slopes, rising.get(key), form)
         found = _with_sensors(cell.estimates(fitted, form), fitted, cell, late=stated[key] == 0)
-        estimates += found
-        findings += [*fitted.findings(at), *form.findings(at)]
-        findings += off_command_findings(pressure_of(at), cell.off(fitted), at.get("pressure", 0.0))
+        result.estimates += found
+        result.findings += [*fitted.findings(at), *form.findings(at)]
+        result.findings += off_command_findings(pressure_of(at), cell.off(fitted), at.get("pressure", 0.0))
         lines.append({"at": at, **fitted.facts(), "h2/h1": form.h2 / form.h1, "h3/h1": form.h3 / form.h1})
         symbols = {e.symbol for e in found if e.method == HARMONIC and e.at == at and e.value is not None}
-        traces += _traces(at, fitted.by_frequency, fitted.muscle if symbols >= {"K", "B", "F_c"} else None)
+        result.traces += _traces(at, fitted.by_frequency, fitted.muscle if symbols >= {"K", "B", "F_c"} else None)
         if slopes is None:
             text = "is not in the calibration parts: one pressure does not show how K, B and F_c change over it"
-            findings.append(Finding("note", f"at {pressure_of(at)}: what an error of the pressure adds {text}"))
-    estimates = without_negative_friction(estimates)
+            result.findings.append(Finding("note", f"at {pressure_of(at)}: what an error of the pressure adds {text}"))
+    result.estimates = without_negative_friction(result.estimates)
     muscles = {member.name: fitted.muscle for fitted in fits.values() for member in fitted.group}
-    pressed = pressure_and_force(members, muscles, scales)
-    estimates, findings, traces = estimates + pressed[0], findings + pressed[1], traces + pressed[2]
-    findings += skew.findings(runs, CHANNELS, max((fitted.skew for fitted in fits.values()), default=0.0), estimates)
-    findings += scales.findings(estimates, ("force", "displacement", "pressure")[: 3 if len(fits) > 1 else 2])
-    facts = {"options": dict(options), "trials": len(members), "lines": lines}
-    facts["cells"] = len(_cells(members, (*CELL, "frequency")))
-    return Analysis.of(
-        KIND, runs, results=RESULTS, estimates=estimates, dropped=dropped, findings=findings, traces=traces, facts=facts
-    )
+    result.add(*pressure_and_force(members, muscles, scales))
+    most = max((fitted.skew for fitted in fits.values()), default=0.0)
+    result.findings += skew.findings(runs, CHANNELS, most, result.estimates)
+    result.note_lack(("force", "displacement", "pressure")[: 3 if len(fits) > 1 else 2])
+    return result.analysis(lines=lines, cells=len(_cells(members, (*CELL, "frequency"))))
+
+
+def _member(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Member:
+    return Member.of(run, trial, float(settings_of(run, options).get("discard", 1)))
 
 
 @dataclass(frozen=True, eq=False)

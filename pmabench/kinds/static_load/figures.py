@@ -14,8 +14,9 @@ from pmabench.analysis.shared.trials import thinned
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.kinds.static_load.points import PHASES, Points, pressure_of, pressures_of
-from pmabench.plotting import pictures, plots, time_plots
-from pmabench.plotting.plots import Panel
+from pmabench.plotting import pictures
+from pmabench.plotting.chart import Chart, Level, Series, small_multiples
+from pmabench.plotting.looks import BLUE, BROWN, GREEN, INK, QUIET
 from pmabench.plotting.wording import clean, shown
 from pmabench.store.analyses.results import Analysis, Finding, Trace
 from pmabench.store.records import RunData, TrialData
@@ -104,45 +105,53 @@ def lifts(traces: Sequence[Trace], analysis: Analysis) -> list[pictures.Picture]
     if not able:
         return []
     chosen = pictures.spread(able, PANELS)
-    names = {name: name for name in ("t", "pressure", "displacement")}
-    panels = []
-    for trace in chosen:
-        base = pictures.panel(trace, names, pictures.head(trace))
-        scale = pictures.unit_of(trace, "pressure").scale
-        panels.append(Panel(base.title, base.columns, {k: v / scale for k, v in trace.marks.items() if k != "load"}))
-    labels = {name: pictures.label(chosen[0], name) for name in names}
     caption = (
         "Above: pressure, rising until the load lifts off its support and falling until it sets down; dashed, the "
         f"pressures found. Below: contraction.{pictures.how_many(chosen, able)}"
     )
-    alt = f"Pressure and contraction over time while loads lift off and set down: {'; '.join(p.title for p in panels)}."
-    table = pictures.numbers([(pictures.head(t), t) for t in chosen], ("t", "pressure", "displacement"))
-    draw = pictures.bound(time_plots.lifts, panels, labels)
-    return [
-        pictures.picture(
-            draw, "Lift-off and set-down", caption, alt, table, wide=len(chosen) > 1, simulated=analysis.simulated
-        )
-    ]
+    titles = [pictures.head(t) for t in chosen]
+    alt = f"Pressure and contraction over time while loads lift off and set down: {'; '.join(titles)}."
+    table = pictures.numbers(list(zip(titles, chosen, strict=True)), ("t", "pressure", "displacement"))
+    rows = small_multiples([_lift(trace) for trace in chosen], 3, common="")
+    return [pictures.of_charts(rows, "Lift-off and set-down", caption, alt, table, simulated=analysis.simulated)]
+
+
+def _lift(trace: Trace) -> tuple[Chart, Chart]:
+    """Pressure over time with the pressures found, and contraction below."""
+    t, scale = pictures.label(trace, "t"), shown("pressure").scale
+    levels = tuple(
+        Level(trace.marks[name] / scale, f"{name} {trace.marks[name] / scale:.4g}", color)
+        for name, color in (("lift", BROWN), ("set-down", GREEN))
+        if name in trace.marks
+    )
+    pressure, moved = (
+        (pictures.label(trace, name), [pictures.curve(trace, "t", name, "", color, width=1.0)])
+        for name, color in (("pressure", BLUE), ("displacement", QUIET))
+    )
+    upper = Chart(t, *pressure, height=104.0, title=pictures.head(trace), levels=levels)
+    return upper, Chart(t, *moved, height=88.0, y_ticks=3)
 
 
 def points(traces: Sequence[Trace], analysis: Analysis) -> list[pictures.Picture]:
     """Lift-off and set-down of every trial, with the lines of the analysis through them."""
     found = []
     for trace in (t for t in traces if pictures.has(t, "load", "lift", "set_down")):
-        points = pictures.panel(trace, {"load": "load", "lift": "lift", "set_down": "set_down"}, "")
-        curves = []
-        for c in (c for c in analysis.curves if c.against == "pressure" and all(e.value is not None for e in c.terms)):
+        load, lift, set_down = (pictures.column(trace, name) for name in ("load", "lift", "set_down"))
+        series = []
+        able = [c for c in analysis.curves if c.against == "pressure" and all(e.value is not None for e in c.terms)]
+        for n, c in enumerate(able):
             x = np.linspace(*c.domain, 2)
-            y = c.values(x)
-            curves.append((clean(c.method, 40), x / shown("pressure").scale, y / shown("force").scale))
-        labels = {"x": shown("pressure").label("P"), "y": shown("force").label("F_L")}
+            y, color = c.values(x) / shown("force").scale, (INK, BROWN, GREEN)[n % 3]
+            series.append(Series(clean(c.method, 40), x / shown("pressure").scale, y, color, width=1.0, dashed=n > 0))
+        series.append(Series("lift-off", lift, load, BROWN, "^", hollow=True))
+        series.append(Series("set-down", set_down, load, GREEN, "v", hollow=True))
         count = len(np.unique(trace.columns["load"]))
         caption = "Each mark is one trial: friction holds the load down at lift-off and up at set-down."
         alt = f"{count} loads over the pressures at which they lift off and set down, with straight lines through them."
-        draw = pictures.bound(plots.load_points, points, curves, labels)
-        title = clean(trace.title, 90)
-        table = pictures.numbers([("", trace)])
-        found.append(pictures.picture(draw, title, caption, alt, table, wide=False, simulated=analysis.simulated))
+        labels = shown("pressure").label("P"), shown("force").label("F_L")
+        chart = Chart(*labels, tuple(series), height=180.0, alt=alt, legend=True)
+        title, table = clean(trace.title, 90), pictures.numbers([("", trace)])
+        found.append(pictures.of_charts([[chart]], title, caption, alt, table, simulated=analysis.simulated))
     return found
 
 

@@ -27,6 +27,8 @@ VALUES = 8
 """Fewest different pressures in a trial for recognising the step in which they are read."""
 ZEROS, LEAST_ZERO = 6.0, 100.0
 """Readings of the vented gauge differ if they are this many standard errors plus this pressure [Pa] apart."""
+UNKNOWN_GAIN = 0.005
+"""Gain error of a load cell whose calibration gives none [1]."""
 MEAN, LIFT, SET_DOWN = "static-mean", "static-lift", "static-set-down"
 PHASES = ("lift", "set-down")
 
@@ -125,6 +127,39 @@ def _crossed(trial: TrialData, lag: float, t: float, phase: str, read: object) -
     if not len(down):
         return t - lag
     return float(times[down[-1] if phase == "lift" else down[0]])
+
+
+@dataclass(frozen=True)
+class ByCell:
+    """What the load cell reads of hanging loads minus what is marked on them [N], a line over the load."""
+
+    start: float
+    slope: float
+    share: float
+    """Largest difference as a share of its load [1]."""
+
+    @classmethod
+    def of(cls, runs: Sequence[RunData], gain: float | None, offset: float) -> ByCell | None:
+        """None where the force is not recorded, or agrees within the calibration of the cell: `gain` [1], `offset` [N].
+
+        At rest and on slow ramps the muscle pulls with the weight that hangs on it, whatever its friction.
+        """
+        read: dict[float, list[float]] = {}
+        for trial in (one for run in runs for one in run.trials if "force" in one.channels and "load" in one.point):
+            times = times_of(trial)
+            hanging = trial.usable & (trial.t > times["lift"]) & (trial.t < times["set-down"])
+            if np.count_nonzero(hanging) >= FEWEST:
+                read.setdefault(trial.point["load"], []).append(float(np.median(trial.channels["force"][hanging])))
+        loads = np.array(sorted(load for load in read if load > 0))
+        off = np.array([float(np.mean(read[load])) - load for load in loads])
+        if not (np.abs(off) > np.hypot((UNKNOWN_GAIN if gain is None else gain) * loads, offset)).any():
+            return None
+        slope, start = np.polyfit(loads, off, 1) if len(loads) > 1 else (0.0, off[0])
+        return cls(float(start), float(slope), float(max(off / loads, key=abs)))
+
+    def of_force(self, a: float, s: float, row: Array) -> float:
+        """Half width that it adds to `row` @ (a, s) of the line F_ce = a + s P."""
+        return abs(float(row @ (self.start + self.slope * a, self.slope * s)))
 
 
 def points_of(runs: Sequence[RunData]) -> tuple[Points, list[Dropped]]:

@@ -13,8 +13,7 @@ from pydantic import Field
 from pmabench.base.quantities import show
 from pmabench.files.document import Strict
 from pmabench.files.quantity import Length, Load, Pressure, PressureRate, Time
-from pmabench.protocol.accept import OF_TRIALS
-from pmabench.protocol.common import Compilation, ProtocolHead
+from pmabench.protocol.common import OF_TRIALS, Compilation, ProtocolHead
 from pmabench.protocol.plan import Ask, Hold, Plan, Record, Seek, Set, Step, TrialRecord
 from pmabench.protocol.sweep import Point, PressureAxis, Sweep, expand
 

@@ -22,6 +22,7 @@ from pmabench.kinds.static_load.points import (
     LIFT,
     MEAN,
     SET_DOWN,
+    ByCell,
     Points,
     Stiffness,
     on_time_run,
@@ -64,15 +65,22 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     lines: dict[str, Line] = ({} if mean is None else {MEAN: mean.line}) | sides
     points = plain if mean is None else mean.points
     scales = Scales.of(runs)
+    cell = ByCell.of(runs, scales.gains.get("force"), scales.offsets.get("force", 0.0))
     for method, line in lines.items():
         of = points if method == MEAN else plain
-        found, through = _of_line(of, method, line, mean, scales)
+        found, through = _of_line(of, method, line, mean, scales, cell)
         estimates += found
         curves.append(through)
         findings += figures.line_findings(line) if mean is not None and method == MEAN and not mean.why else []
     estimates += _half_differences(points, lines)
     findings += scales.findings(lines, ["pressure"])
     findings += _of_both_ways(lines, mean, plain.zero)
+    if cell is not None:
+        text = f"the load cell reads {abs(cell.share):.1%} {'more' if cell.share > 0 else 'less'} than the marks of the"
+        text += (
+            " loads that hang on it, which its calibration does not allow: weigh the loads, and calibrate the cell. "
+        )
+        findings.append(Finding("doubt", f"{text}F_ce is given for the marks, and its intervals hold either"))
     facts = {
         "options": dict(options or {}),
         "trials": sum(len(run.trials) for run in runs),
@@ -116,7 +124,7 @@ def _of_both_ways(lines: Mapping[str, Line], mean: Mean | None, zero: float) -> 
 
 
 def _of_line(
-    points: Points, method: str, line: Line, mean: Mean | None, scales: Scales
+    points: Points, method: str, line: Line, mean: Mean | None, scales: Scales, cell: ByCell | None
 ) -> tuple[list[Estimate], Curve]:
     """F_ce on the grid inside the domain, and the line itself; lines of one direction have the difference to the mean
     as bias.
@@ -141,6 +149,7 @@ def _of_line(
         elif mean is not None:
             bias = value - float(row @ (mean.line.a, mean.line.s))
             off = abs(bias)
+        off += 0.0 if cell is None else cell.of_force(line.a, line.s, row)
         unit, quantity = ("N/Pa", "force per pressure") if coordinate == "slope" else ("N", "force")
         drift = line.s * points.zero / (1.0 if row[0] else float(P[usable].mean()))
         parts = Parts(line.half(row) if line.factor else None, off, calibration, drift=drift)

@@ -9,8 +9,7 @@ from pydantic import Field
 
 from pmabench.files.document import Strict
 from pmabench.files.quantity import Length, Speed, Time
-from pmabench.protocol.accept import OF_TRIALS
-from pmabench.protocol.common import Compilation, ProtocolHead
+from pmabench.protocol.common import OF_TRIALS, Compilation, ProtocolHead
 from pmabench.protocol.driven import arrive, bearable, leave, not_pushed_together, not_too_fast
 from pmabench.protocol.plan import Hold, Plan, Ramp, Record, Step
 from pmabench.protocol.sweep import LengthAxis, Point, PressureAxis, SpeedAxis, Sweep, expand

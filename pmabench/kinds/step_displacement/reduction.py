@@ -14,20 +14,22 @@ from math import hypot, sqrt
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import MOST_HIDDEN, Doubt, force_from_cycle_to_cycle, weighed
 from pmabench.analysis.shared.lines import mean_of_cycles
 from pmabench.analysis.shared.samples import OF_TWO, STEPS, Held, NotUsable, left
-from pmabench.analysis.shared.trials import grouped, measured_trials, point_by, thinned
+from pmabench.analysis.shared.trials import Reduction, grouped, point_by, thinned
 from pmabench.analysis.trial import DRIFT, Expected, Found, Measured, Quick
 from pmabench.analysis.verdict.agreement import Offer, exactly, values_of, weighted
 from pmabench.base.quantities import show
 from pmabench.kinds.step_displacement import RESULTS
 from pmabench.kinds.step_displacement.step import Recovery, Relaxation, Steps, measure
-from pmabench.plotting import time_plots
-from pmabench.plotting.pictures import Picture, bound, column, has, head, how_many, label, numbers, picture, spread
-from pmabench.plotting.plots import Array, Panel
+from pmabench.plotting.chart import Level, Series
+from pmabench.plotting.looks import BLUE, BROWN, INK, QUIET
+from pmabench.plotting.motion import courses
+from pmabench.plotting.pictures import Picture, column, has, head, how_many, label, numbers, of_charts, spread
 from pmabench.plotting.wording import shown
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace, withhold
 from pmabench.store.records import RunData, TrialData
@@ -77,37 +79,24 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     exponential after the end of the motion. `options`: `discard` (cycles at the start; else the plan's setting, else
     1).
     """
-    members, dropped = measured_trials(runs, lambda run, trial: measure(run, trial, options or {}))
-    scales = Scales.of(runs)
-    cells = grouped(members, lambda one: point_by(one.trial, CELL))
-    estimates: list[Estimate] = []
-    findings: list[Finding] = []
-    traces: list[Trace] = []
+    result = Reduction.of(KIND, RESULTS, runs, options, measure)
+    cells = result.cells(lambda one: point_by(one.trial, CELL))
     rubbed: dict[tuple[float, float], float] = {}
-    for key, group in cells.items():
+    for key, group in cells:
         most = max(map(_rubbed, group))
         rubbed[_place(dict(key))] = max(most, rubbed.get(_place(dict(key)), 0.0))
-    for key, group in sorted(cells.items()):
+    for key, group in cells:
         at = dict(key)
         for back in (False, True):
             here = {**at, "step": (-1.0 if back else 1.0) * at.get("step", 0.0)}
             each = [member.back if back else member.there for member in group]
-            way = Way(here, group, each, scales, rubbed[_place(at)])
-            estimates += [*way.forces(), *way.times()]
-        findings += _findings(group)
-        traces.append(_trace(at, group[0]))
-    if estimates and (lack := scales.lack(("force", "displacement"))):
-        findings.append(Finding("note", lack))
-    return Analysis.of(
-        KIND,
-        runs,
-        results=RESULTS,
-        estimates=sorted(estimates, key=lambda e: (RELAXED, PEAK, BACK).index(e.method)),
-        dropped=dropped,
-        findings=findings,
-        traces=traces,
-        facts={"options": dict(options or {}), "trials": len(members), "cells": len(cells)},
-    )
+            way = Way(here, group, each, result.scales, rubbed[_place(at)])
+            result.estimates += [*way.forces(), *way.times()]
+        result.findings += _findings(group)
+        result.traces.append(_trace(at, group[0]))
+    result.estimates.sort(key=lambda e: (RELAXED, PEAK, BACK).index(e.method))
+    result.note_lack(("force", "displacement"))
+    return result.analysis(cells=len(cells))
 
 
 def _start(e: Estimate) -> tuple[float, float, float]:
@@ -371,6 +360,8 @@ def _without_friction(e: Estimate) -> Estimate:
 
 PANELS = 4
 """Most panels."""
+LEVELS = ("before", "peak", "relaxed")
+"""Marks of forces in a panel."""
 
 
 def steps(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
@@ -379,33 +370,35 @@ def steps(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     chosen = spread(able, PANELS)
     if not chosen:
         return []
-    panels, names, scale = [], {"t": "t", "x": "displacement", "y": "force"}, shown("force").scale
-    for trace in chosen:
-        columns = _around(trace, names | ({"P": "pressure"} if has(trace, "pressure") else {}))
-        marks = {name: value / scale for name, value in trace.marks.items() if name in ("before", "peak", "relaxed")}
-        panels.append(Panel(head(trace), columns, marks))
-    labels = {new: label(chosen[0], old) for new, old in names.items()} | {"P": shown("pressure").label("pressure")}
+    scale, titles = shown("force").scale, [head(t) for t in chosen]
+    stacks = []
+    for trace, title in zip(chosen, titles, strict=True):
+        near = _around(trace)
+        lines = [
+            Series("", column(trace, "t")[near], column(trace, name)[near], color, width=1.0)
+            for name, color in (("displacement", QUIET), ("force", BLUE), ("pressure", BROWN))
+            if all(has(t, name) for t in chosen)
+        ]
+        levels = [Level(trace.marks[name] / scale, color=INK) for name in LEVELS if name in trace.marks]
+        stacks.append((title, lines, levels))
+    labels = [label(chosen[0], name) for name in ("t", "displacement", "force")] + [shown("pressure").label("pressure")]
     caption = (
         "Around the last step of a trial. Dashed: force before the step, at its peak and relaxed; the rest after the "
         f"step is longer than what is drawn.{how_many(chosen, able)}"
     )
-    alt = (
-        f"Contraction, force and pressure over time around steps of displacement: {'; '.join(p.title for p in panels)}."
-    )
-    draw = bound(time_plots.steps, panels, labels)
-    table = numbers([(p.title, t) for p, t in zip(panels, chosen, strict=True)])
-    title = "Steps of displacement"
-    return [picture(draw, title, caption, alt, table, wide=len(chosen) > 1, simulated=analysis.simulated)]
+    alt = f"Contraction, force and pressure over time around steps of displacement: {'; '.join(titles)}."
+    table = numbers(list(zip(titles, chosen, strict=True)))
+    return [
+        of_charts(courses(stacks, labels), "Steps of displacement", caption, alt, table, simulated=analysis.simulated)
+    ]
 
 
-def _around(trace: Trace, names: dict[str, str]) -> dict[str, Array]:
-    """The columns from shortly before the step to well after its motion, six times its duration."""
-    x = column(trace, "displacement")
+def _around(trace: Trace) -> NDArray[np.bool_]:
+    """Rows from shortly before the step to well after its motion, six times its duration."""
+    x, t = column(trace, "displacement"), column(trace, "t")
     moving = np.flatnonzero(np.abs(x - x[-1]) > 0.05 * np.ptp(x))
-    t = column(trace, "t")
     end = float(t[moving[-1]]) if len(moving) else float(t[-1])
-    rows = (t >= -end) & (t <= max(6 * end, end + 0.1))
-    return {new: column(trace, old)[rows] for new, old in names.items()}
+    return np.asarray((t >= -end) & (t <= max(6 * end, end + 0.1)))
 
 
 def one_trial(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:

@@ -327,14 +327,13 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         return Analysis.of(KIND, runs, results=RESULTS, dropped=dropped, findings=[Finding("fault", text)])
     choice = choose(Data.of(records))
     scales = Scales.of(runs)
-    lack = scales.lack(("force",))
     return Analysis.of(
         KIND,
         runs,
         results=RESULTS,
         estimates=estimates(choice, scales),
         dropped=dropped,
-        findings=[*sentences(choice), *([Finding("note", lack)] if lack else [])],
+        findings=[*sentences(choice), *scales.findings(records, ("force",))],
         traces=loops(choice),
         facts=facts(choice),
     )

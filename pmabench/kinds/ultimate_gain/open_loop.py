@@ -18,9 +18,20 @@ from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.form import Doubt, change_over, weighed
 from pmabench.analysis.shared.samples import STEPS, step_of
 from pmabench.base.quantities import show
-from pmabench.kinds.ultimate_gain import open_loop_form as form
 from pmabench.kinds.ultimate_gain import ways
-from pmabench.kinds.ultimate_gain.open_loop_fit import Friction, Moved, Regulator, Step, fit
+from pmabench.kinds.ultimate_gain.open_loop_fit import (
+    Flow,
+    Friction,
+    Moved,
+    Regulator,
+    Step,
+    better_by,
+    fit,
+    flow_limited,
+    gauge_filter,
+    hunting,
+    read_in_steps,
+)
 from pmabench.kinds.ultimate_gain.ways import Examined, GainCell, Pair
 from pmabench.model.loop import Loop, Ultimate, ultimate
 from pmabench.store.analyses.results import Estimate, Finding, Parts, Trace
@@ -197,11 +208,11 @@ def _fitted(t: Array, x: Array, P: Array, steps: Sequence[Step], declared: float
     lag, other = declared, None
     delayed = fit(t, x, P, steps, 0.0) if declared else found
     if declared and not isinstance(delayed, str):
-        better = form.better_by(delayed[:2], found[:2], len(t))
+        better = better_by(delayed[:2], found[:2], len(t))
         if better > 0:
             lag, found, delayed = 0.0, delayed, found
         other = delayed[:2] if abs(better) < SURE else None
-    late = form.gauge_filter(*found[:2])
+    late = gauge_filter(*found[:2])
     again = fit(t, x, P, steps, lag + late) if late else ""
     if isinstance(again, str) or abs(again[1].late) > FILTER_LEAVES * late:
         return _Fitted(*found, lag, 0.0, other)
@@ -235,12 +246,12 @@ def _with_spread(
         (replace(regulator, fill=way, vent=way), replace(moved, tau=(tau, tau)))
         for way, tau in zip((regulator.fill, regulator.vent), moved.tau, strict=True)
     )
-    flow = form.flow_limited(t, P, known.steps, lag)
-    doubts = _pressures(regulator, form.hunting(P, t, known.steps), apart)
+    flow = flow_limited(t, P, known.steps, lag)
+    doubts = _pressures(regulator, hunting(P, t, known.steps), apart)
     doubts += [] if flow is None else [_flow(flow, truth, ends([(flow.small(regulator), moved)]))]
     if other := ends([found.other] if found.other is not None else []):
         doubts.append((Doubt("delay or filter of the gauge", "method", 0.0, False), _apart(other[0], truth)))
-    doubts.append((Doubt(STEPS, "method", 0.0, False), form.read_in_steps(samples[1:], sizes)))
+    doubts.append((Doubt(STEPS, "method", 0.0, False), read_in_steps(samples[1:], sizes)))
     spans = np.max([_apart(end, truth) for end in sides] or [(0.0, 0.0)], axis=0).tolist()
     return replace(known, loop=loop, cycles=tuple(single), spans=(spans[0], spans[1]), departures=tuple(doubts))
 
@@ -281,7 +292,7 @@ def _apart(one: Ultimate, other: Ultimate) -> tuple[float, float]:
     return abs(one.gain / other.gain - 1), abs(one.period / other.period - 1)
 
 
-def _flow(flow: form.Flow, truth: Ultimate, small: Sequence[Ultimate]) -> Departure:
+def _flow(flow: Flow, truth: Ultimate, small: Sequence[Ultimate]) -> Departure:
     """Effect of a valve that may limit the flow, if that fits as well as any lags.
 
     A limit at 90 % of the flow that the steps need is hidden by noise, but still delays them by 0.5 ms.

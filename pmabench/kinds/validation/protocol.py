@@ -8,8 +8,7 @@ from pydantic import Field
 
 from pmabench.files.document import Strict
 from pmabench.files.quantity import Load, Time
-from pmabench.protocol.accept import OF_TRIALS
-from pmabench.protocol.common import Compilation, ProtocolHead
+from pmabench.protocol.common import OF_TRIALS, Compilation, ProtocolHead
 from pmabench.protocol.plan import Hold, Plan, Record, Set
 from pmabench.protocol.reference_model import ReferenceModel, described
 from pmabench.protocol.sweep import PressureAxis, Sweep, expand

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from scipy.optimize import brentq
 
 from pmabench.model.curve import Array
 from pmabench.model.driven import Actuator
@@ -317,9 +318,8 @@ def free_run(
     return found, force
 
 
-NEAR_ENOUGH = 1.0
+NEAR_ENOUGH = 0.1
 """Tolerance of the pressure [Pa]."""
-MOST = 40
 
 
 def pressures(muscle: IdentifiedMuscle, t: Array, x: Array, v: Array, load: float, ends: tuple[float, float]) -> Array:
@@ -337,44 +337,17 @@ def pressures(muscle: IdentifiedMuscle, t: Array, x: Array, v: Array, load: floa
         def left(P: float, span: float = span, place: float = place, speed: float = speed) -> float:
             return path.step(span, P).pull(place)[0] - muscle.damping(P, speed > 0) * speed - load
 
-        P = found[row] = rising_root(left, *ends, first=found[row - 1] if row else ends[0])
+        P = found[row] = rising_root(left, *ends)
         path.arrive(path.step(span, P), place)
         before = now
     return found
 
 
-def rising_root(of: Callable[[float], float], low: float, high: float, first: float) -> float:
-    """Root of an increasing function between two ends, or the nearest end; the search starts around `first`."""
-    width = 1e-3 * (high - low)
-    a, b = max(low, first - width), min(high, first + width)
-    at_a, at_b = of(a), of(b)
-    while at_a > 0 and a > low:
-        b, at_b, width = a, at_a, 4 * width
-        a = max(low, a - width)
-        at_a = of(a)
-    while at_b < 0 and b < high:
-        a, at_a, width = b, at_b, 4 * width
-        b = min(high, b + width)
-        at_b = of(b)
-    if at_a >= 0:
-        return a
-    if at_b <= 0:
-        return b
-    side = 0
-    for _ in range(MOST):
-        middle = b - at_b * (b - a) / (at_b - at_a)
-        at = of(middle)
-        if abs(b - a) < NEAR_ENOUGH or at == 0:
-            return middle
-        if at > 0:
-            b, at_b = middle, at
-            at_a, side = (0.5 * at_a if side > 0 else at_a), 1
-        else:
-            a, at_a = middle, at
-            at_b, side = (0.5 * at_b if side < 0 else at_b), -1
-        if abs(at) < 1e-3:
-            return middle
-    return middle
+def rising_root(of: Callable[[float], float], low: float, high: float) -> float:
+    """Root of an increasing function between two ends, or the nearest end."""
+    if of(low) >= 0:
+        return low
+    return high if of(high) <= 0 else float(brentq(of, low, high, xtol=NEAR_ENOUGH))
 
 
 def led(t: Array, P: Array, regulator: Regulator, ends: tuple[float, float]) -> Array:

@@ -15,9 +15,9 @@ from math import isfinite
 
 import numpy as np
 
-from pmabench.plotting.chart import MOST_POINTS, Chart, Series, with_common_sides
+from pmabench.plotting.chart import PAGE, Array, Chart, Series, small_multiples
+from pmabench.plotting.looks import BLUE, BROWN, FAINT, QUIET
 from pmabench.plotting.pictures import Picture, column, has, head, label, numbers, of_charts, spread, unit_of
-from pmabench.plotting.plots import BLUE, BROWN, FAINT, QUIET, Array
 from pmabench.plotting.wording import Frame, half_width, rounded
 from pmabench.report.document.tables import is_number, mappings
 from pmabench.store.analyses.results import Analysis, Trace
@@ -26,7 +26,7 @@ FIGURE = "characteristic"
 """Kind of the trace of forces at set pressures and contractions."""
 MODELS = ("measured-pressure", "isometric-sections")
 """Methods whose F_ce and K the lines may have; the first that is there."""
-WIDTH, HEIGHT = 510.0, 158.0
+HEIGHT = 158.0
 FEWEST = 2
 """Pressures that the figure needs."""
 MOST = 8
@@ -103,12 +103,11 @@ def force_picture(analyses: Sequence[Analysis], less: float = 0.0) -> Picture | 
         x_label="contraction x [mm]",
         y_label="F [N]",
         series=tuple(series),
-        width=WIDTH,
+        width=PAGE,
         height=HEIGHT - less,
         alt=alt,
         tested=_tested(levels, low, high),
         zero=True,
-        stamp="SIMULATED" if simulated else "",
     )
     friction = next((e.value or 0.0 for a in analyses for e in a.estimates if e.symbol == "F_c" and not e.at), 0.0)
     size = rounded(friction, None, 3) if friction > 0 else ""
@@ -164,7 +163,7 @@ def _series(level: Level, share: float, reach: float) -> list[Series]:
         if len(marks):
             x, force = marks[np.argsort(marks[:, 0], kind="stable")].T
             said = f"{name}, {'relaxed' if hollow else 'measured'}"
-            found.append(Series("", 1e3 * x, force, color, True, hollow=hollow, said=said))
+            found.append(Series("", 1e3 * x, force, color, "o", hollow=hollow, said=said))
     return found
 
 
@@ -208,46 +207,26 @@ def stroke_picture(analyses: Sequence[Analysis]) -> tuple[Picture, Trace] | None
     if not able:
         return None
     trace, analysis = max(able, key=lambda pair: float(np.nanmax(np.abs(pair[0].columns["displacement"]))))
-    stride = max(1, -(-len(trace.columns["t"]) // MOST_POINTS))
-    t, x, model = (column(trace, name)[::stride] for name in ("t", "displacement", "model"))
+    t, x, model = (column(trace, name) for name in ("t", "displacement", "model"))
     apart = model - x
     rms = float(np.sqrt(np.mean(apart[np.isfinite(apart)] ** 2)))
     unit, where = unit_of(trace, "displacement").unit, head(trace)
-    stamp = "SIMULATED" if analysis.simulated else ""
     misfit = f"{half_width(rms)} {unit} rms"
     share = 100 * rms / float(np.ptp(x[np.isfinite(x)]) or 1.0)
-    upper = Chart(
-        x_label=label(trace, "t"),
-        y_label=f"contraction x [{unit}]",
-        series=(
-            Series("measured", t, x, FAINT, width=4.0, name_color=QUIET),
-            Series("free run", t, model, BLUE, width=1.4),
-        ),
-        width=WIDTH,
-        height=HIGH,
-        alt=f"Contraction over time at {where}: measured, and the fitted muscle on it.",
-        together="stroke",
-        stamp=stamp,
-        x_named=False,
-    )
-    lower = Chart(
-        x_label=label(trace, "t"),
-        y_label=f"free run − measured [{unit}]",
-        series=(Series("residual", t, apart, BROWN, width=1.0),),
-        width=WIDTH,
-        height=LOW,
-        alt=f"Their difference, {misfit}.",
-        words=misfit,
-        y_ticks=3,
-        together="stroke",
+    t_label, residual = label(trace, "t"), (Series("residual", t, apart, BROWN, width=1.0),)
+    lines = Series("measured", t, x, FAINT, width=4.0, name_color=QUIET), Series("free run", t, model, BLUE, width=1.4)
+    charts = (
+        Chart(t_label, f"contraction x [{unit}]", lines, height=HIGH),
+        Chart(t_label, f"free run − measured [{unit}]", residual, height=LOW, y_ticks=3),
     )
     caption = (
         f"The fitted muscle with the measured pressure as its only input, from the first sample on. It "
         f"misses this trial by {misfit}, {share:.2g} % of the stroke."
     )
-    title, alt = f"One stroke, {where}: measured and free run", f"{upper.alt} {lower.alt}"
+    title = f"One stroke, {where}: measured and free run"
+    alt = f"Contraction over time at {where}: measured, and the fitted muscle on it. Their difference, {misfit}."
     table = numbers([("", trace)], ("t", "displacement", "model"))
-    rows = [[chart] for chart in with_common_sides((upper, lower))]
+    rows = small_multiples([charts], 1, width=PAGE)
     return of_charts(rows, title, caption, alt, table, simulated=analysis.simulated), trace
 
 

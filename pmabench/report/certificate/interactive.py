@@ -11,17 +11,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
-from math import isfinite
+from math import floor, isfinite, log10
 from typing import Any
 
-from pmabench.plotting.chart import MOST_POINTS, Chart, limits
-from pmabench.plotting.pictures import Picture
-from pmabench.plotting.plots import Array
+import numpy as np
 
-AS_THEY_ARE = ("label", "color", "dots", "hollow", "cross", "width", "dashed", "method", "hidden")
+from pmabench.plotting.chart import Array, Chart, Series, level_names, limits, rows_needed
+from pmabench.plotting.looks import SHAPES
+from pmabench.plotting.pictures import Picture
+from pmabench.plotting.svg import symbol_parts
+
+AS_THEY_ARE = ("color", "mark", "hollow", "width", "dashed", "method")
 """Fields of a series that the script takes as they are."""
-DIGITS = 5
-"""Significant digits of the numbers."""
+DIGITS, FINE = 5, 2e-4
+"""Significant digits of the numbers, and resolution of lines as a share of the range of their axis."""
 
 
 @dataclass(frozen=True)
@@ -55,41 +58,70 @@ def assets() -> Assets:
 
 
 def chart_data(numbered: Sequence[tuple[int, Picture]]) -> list[dict[str, Any]]:
-    """The charts of each figure that has some, as plain data."""
+    """The charts of each figure, as plain data."""
     return [
-        {"n": n, "charts": [_chart(chart) for chart in picture.charts]} for n, picture in numbered if picture.charts
+        {
+            "n": n,
+            "widths": [round(chart.width, 1) for chart in picture.rows[0]],
+            "layout": picture.layout,
+            "charts": [
+                _chart(chart) | {"column": column} for row in picture.rows for column, chart in enumerate(row, start=1)
+            ],
+        }
+        for n, picture in numbered
     ]
 
 
 def _chart(chart: Chart) -> dict[str, Any]:
     x0, x1, y0, y1 = (float(f"{end:.8g}") for end in limits(chart))
+    places = {level: {"right": right, "first": first} for level, _, _, right, first in level_names(chart)}
     return {
-        "x": chart.x_label,
-        "y": chart.y_label,
+        "x": _greek(chart.x_label),
+        "y": _greek(chart.y_label),
+        "title": _greek(chart.title),
+        "alt": chart.alt or f"{chart.title} {chart.y_label} over {chart.x_label}".strip(),
         "range": [x0, x1, y0, y1],
         "ratio": round(chart.height / chart.width, 4),
         "named": chart.x_named,
+        "yNamed": chart.y_named,
+        "legend": chart.legend,
+        "log": chart.log,
+        "ticks": chart.x_ticks,
         "sides": chart.sides,
-        "words": chart.words,
         "stamp": chart.stamp,
         "together": chart.together,
         "tested": None if chart.tested is None else [_numbers(column) for column in chart.tested.T],
-        "series": [
-            {
-                **{name: getattr(s, name) for name in AS_THEY_ARE},
-                "said": s.said or s.label,
-                "x": _numbers(s.x),
-                "y": _numbers(s.y),
-                "half": None if s.half is None else _numbers(s.half),
-                "name": s.name_color or s.color,
-                "first": s.named_first,
-            }
-            for s in chart.series
-        ],
+        "levels": [{**vars(level), "name": _greek(level.name), **places.get(level, {})} for level in chart.levels],
+        "series": [_series(chart, s) for s in chart.series],
     }
 
 
-def _numbers(values: Array) -> list[float | None]:
-    """Five significant digits; null for what is no number; evenly thinned."""
-    stride = max(1, -(-len(values) // MOST_POINTS))
-    return [float(f"{v:.{DIGITS}g}") if isfinite(v) else None for v in values[::stride].tolist()]
+def _series(chart: Chart, s: Series) -> dict[str, Any]:
+    """What the script needs of a series; what is empty is left out."""
+    rows = rows_needed(chart, s)
+    x0, x1, y0, y1 = limits(chart)
+    fine = (0.0, 0.0) if s.mark else (FINE * (x1 - x0) * (not chart.log), FINE * (y1 - y0))
+    loop = not s.mark and bool(np.any(np.diff(s.x[np.isfinite(s.x)]) < 0))
+    found = {
+        **{name: getattr(s, name) for name in AS_THEY_ARE},
+        "hidden": s.hidden or loop,
+        "shape": SHAPES.get(s.mark),
+        "label": _greek(s.label),
+        "said": _greek(s.said or s.label),
+        "half": None if s.half is None else _numbers(s.half[rows]),
+        "name": s.name_color or s.color,
+        "first": s.named_first,
+    }
+    places = {"x": _numbers(s.x[rows], fine[0]), "y": _numbers(s.y[rows], fine[1])}
+    return {name: value for name, value in found.items() if value} | places
+
+
+def _greek(text: str) -> str:
+    """The text with names of Greek letters as letters; subscripts stay behind their `_`."""
+    return "".join(f"_{part}" if kind == "sub" else part for kind, part in symbol_parts(text))
+
+
+def _numbers(values: Array, fine: float = 0.0) -> list[float | None]:
+    """Five significant digits, and none finer than `fine`; null for what is no number."""
+    decimals = max(0, -floor(log10(fine))) if fine > 0 else 30
+    return [round(float(f"{v:.{DIGITS}g}"), decimals) if isfinite(v) else None for v in values.tolist()]

@@ -19,7 +19,6 @@ from pmabench.analysis.verdict.acceptance import limits_of
 from pmabench.kinds import registry
 from pmabench.kinds.reduce import verdicts
 from pmabench.plotting import wording
-from pmabench.plotting.chart import to_svg
 from pmabench.plotting.pictures import Picture
 from pmabench.plotting.svg import as_file
 from pmabench.plotting.wording import printed
@@ -29,7 +28,6 @@ from pmabench.report.certificate.sheet import Sheet, sheet_of
 from pmabench.report.document import provenance, tables
 from pmabench.report.document.deviations import Issuer, Item, Said, checklist, deviations, notes_of
 from pmabench.report.document.grids import Grid, grid, narrow
-from pmabench.report.document.provenance import citation, methods_paragraph
 from pmabench.report.document.special_tables import budget_table, change_tables, check_tables, reduced_with
 from pmabench.report.document.special_tables import who as who_changed
 from pmabench.report.figures import kind_pictures
@@ -108,10 +106,11 @@ class Content:
     versions: list[str]
     issuer: Issuer
     checklist: list[Item]
-    paragraph: str
-    """Methods, ready to paste."""
-    cite: tuple[str, str]
-    """A line, and a BibTeX entry."""
+
+    @property
+    def figures(self) -> list[Numbered]:
+        """All figures in their order."""
+        return [*self.front, *(figure for section in self.sections for figure in section.figures)]
 
 
 def content_of(
@@ -168,8 +167,6 @@ def content_of(
         calibrations=grid(provenance.calibration_table(runs, names, reduced_with(analyses)), group=False),
         issuer=who,
         checklist=checklist(analyses, runs, who, specimen=specimen, when=when, deviations=remarks, accepted=accepted),
-        paragraph=methods_paragraph(analyses, runs),
-        cite=citation(name, identity, when, any(simulated)),
         **about_runs,
         **_results(analyses, names),
     )
@@ -182,8 +179,8 @@ def write_page(content: Content, path: Path, *, long: bool = False) -> Path:
 
 def page_of(content: Content, *, long: bool = False) -> str:
     """The content as an HTML page: two pages, and appendices, which are folded, or open and printed with `long`."""
-    charts = chart_data([(item.n, item.picture) for item in content.front])
-    more = {"levels": LEVELS, "long": long, "charts": charts, "assets": assets(), "chart_svg": to_svg}
+    charts = chart_data([(item.n, item.picture) for item in content.figures if item.picture.rows])
+    more = {"levels": LEVELS, "long": long, "charts": charts, "assets": assets()}
     return render("report.html.j2", vars(content) | more)
 
 
@@ -320,7 +317,7 @@ CAPTIONS = "captions.txt"
 def write_figures(content: Content, folder: Path) -> Path:
     """Write each figure as SVG, numbered as in the report, and `captions.txt`; the folder. Raises RecordError."""
     lines = [f"{content.title}\n"]
-    for item in [*content.front, *(figure for section in content.sections for figure in section.figures)]:
+    for item in content.figures:
         short = re.sub(r"[^a-z0-9]+", "-", item.picture.title.lower()).strip("-")[:50].strip("-")
         name = f"{item.n:02d}-{short or 'figure'}.svg"
         write_file(folder / name, as_file(item.picture.svg, FONT), "the figure")

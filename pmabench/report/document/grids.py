@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-from pmabench.plotting.wording import AT_MOST, POINTS, UNRESOLVED, WITHHELD, Frame, clean, point_head
+from pmabench.plotting.wording import AT_MOST, POINTS, UNRESOLVED, WITHHELD, Frame, point_head
 from pmabench.report.document.tables import Table
 
 MOST_ROWS = 600
@@ -110,22 +110,6 @@ def narrow(table: Table) -> list[Table]:
     values = [c for c in table.frame.columns if c not in heads]
     if _width(table.frame, values) <= MOST:
         return [table]
-    for key in (key for key in keys if key != "method"):
-        filled = [cell != "" for cell in table.frame[key]]
-        if any(filled) and not all(filled):
-            parts = [replace(table, frame=table.frame.where(has == way for has in filled)) for way in (False, True)]
-            return [one for part in parts for one in narrow(_part(part, keys, _used(part.frame, values), part.caption))]
-    if "method" in keys and len(set(table.frame["method"])) > 1:
-        groups: dict[tuple[str, ...], list[str]] = {}
-        for method in dict.fromkeys(table.frame["method"]):
-            rows = table.frame.where(cell == method for cell in table.frame["method"])
-            groups.setdefault(tuple(_used(rows, values)), []).append(str(method))
-        if len(groups) > 1:
-            return [
-                part
-                for used, methods in groups.items()
-                for part in narrow(_part(table, keys, used, f"{table.caption}: {clean(', '.join(methods))}", methods))
-            ]
     chunks: list[list[str]] = []
     for symbol in dict.fromkeys(value.partition(" [")[0] for value in values):
         alike = [value for value in values if value.partition(" [")[0] == symbol]
@@ -140,22 +124,12 @@ def narrow(table: Table) -> list[Table]:
     return [_part(table, keys, chunk, caption) for chunk, caption in zip(chunks, captions, strict=True)]
 
 
-def _used(frame: Frame, values: Sequence[str]) -> list[str]:
-    """Columns that have a cell."""
-    return frame.select(values).filled().columns
-
-
 def _width(frame: Frame, columns: Sequence[str]) -> float:
     """Width of columns together, counted in columns with intervals."""
     return sum(1.0 if any("±" in str(cell) for cell in frame[c]) else PLAIN for c in columns)
 
 
-def _part(
-    table: Table, keys: Sequence[str], values: Sequence[str], caption: str, methods: Sequence[str] | None = None
-) -> Table:
+def _part(table: Table, keys: Sequence[str], values: Sequence[str], caption: str) -> Table:
     """Some columns of values with the rows that have any, and what of the operating point these rows have."""
-    frame = table.frame.where(
-        (methods is None or row["method"] in methods) and any(row[value] != "" for value in values)
-        for row in table.frame.rows
-    )
-    return Table(caption, frame.select([*_used(frame, keys), *values]))
+    frame = table.frame.where(any(row[value] != "" for value in values) for row in table.frame.rows)
+    return Table(caption, frame.select([*frame.select(keys).filled().columns, *values]))

@@ -1,12 +1,13 @@
 """A report as a tagged PDF (PDF/UA-1), set by typst from the same content; every text is data and never markup.
 
-Needs the extra `pdf`. Fonts are those that matplotlib brings, and where these lack a sign also those of the machine.
-The same report gives the same bytes.
+Needs the extra `pdf`. The font is Inter, as in the page; a few signs come from the fonts of typst, scripts that these
+lack from those of the machine, else as boxes. The same report gives the same bytes.
 """
 
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import fields, is_dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -21,7 +22,11 @@ from pmabench.report.document.content import Content, Numbered
 from pmabench.report.document.deviations import Said
 from pmabench.report.writing import write_file
 
-FONT = "DejaVu Sans"
+FONT = "Inter"
+TALL = 230.0
+"""Height from which on a wide picture of the certificate is as high as its place, not as wide [pt]."""
+OTHER_SCRIPTS = re.compile("[\u0530-\u1dff\u2c00-\U0010ffff]")
+"""Neither Latin, Greek nor Cyrillic, no punctuation and no sign of mathematics."""
 
 
 def write_pdf(content: Content, path: Path) -> Path:
@@ -35,28 +40,23 @@ def pdf_bytes(content: Content) -> bytes:
         import typst
     except ImportError as error:
         raise UsageError('--pdf needs typst: pip install "pmabench[pdf]"') from error
-    import matplotlib as mpl
-    from matplotlib.ft2font import FT2Font
-
     with TemporaryDirectory(prefix="pmabench-pdf-") as place:
         folder = Path(place)
-        content_json = json.dumps(_Data(content, folder).all(), ensure_ascii=False)
-        (folder / "content.json").write_text(content_json, encoding="utf-8")
+        data = json.dumps(_Data(content, folder).all(), ensure_ascii=False)
+        (folder / "content.json").write_text(data, encoding="utf-8")
         source = files("pmabench.report").joinpath("templates", "report.typ").read_text(encoding="utf-8")
         (folder / "report.typ").write_text(source, encoding="utf-8")
-        fonts = Path(mpl.get_data_path()) / "fonts" / "ttf"
-        known = FT2Font(str(fonts / "DejaVuSans.ttf")).get_charmap()
         try:
-            data = typst.compile(
+            pdf = typst.compile(
                 str(folder / "report.typ"),
-                root=str(folder),
-                font_paths=[str(fonts)],
-                ignore_system_fonts=all(ord(sign) in known for sign in set(content_json)),
+                root=place,
+                font_paths=[str(files("pmabench.plotting") / "web")],
+                ignore_system_fonts=not OTHER_SCRIPTS.search(data),
                 format="pdf",
                 pdf_standards="ua-1",
                 timestamp=0,
             )
-            return bytes(data)
+            return bytes(pdf)
         except (RuntimeError, typst.TypstError) as error:
             raise PmaError(f"typst could not set the PDF: {clean(error, 300)}; write the HTML page alone") from error
 
@@ -83,7 +83,7 @@ class _Data:
             p, name = value.picture, f"figure-{value.n}.svg"
             (self.folder / name).write_text(as_file(p.svg, FONT), encoding="utf-8")
             about = self.plain({"title": p.title, "caption": p.caption, "alt": p.alt})
-            return about | {"n": value.n, "file": name, "wide": p.wide, "charted": bool(p.charts)}
+            return about | {"n": value.n, "file": name, "wide": p.wide, "charted": p.wide and p.height < TALL}
         elif isinstance(value, Said):
             return _note(value)
         elif isinstance(value, Sheet):

@@ -1,4 +1,4 @@
-"""What runs record about themselves, as text for a page; a paragraph on methods made of it, and how to cite the report.
+"""What runs record about themselves, as text for a page.
 
 Specimen, bench, protocol, hashes, calibrations. Manifests are untrusted and everything in them is optional; nothing
 here raises for what is missing or odd.
@@ -6,17 +6,14 @@ here raises for what is missing or odd.
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from pmabench import __version__
 from pmabench.plotting.wording import POINTS, Frame, clean, in_order, number, point_shown, shown
-from pmabench.report.words import described, kind_title
-from pmabench.store.analyses.results import AGREEMENT, Analysis
+from pmabench.report.words import kind_title
 from pmabench.store.folder import is_regular, sha256_of
 from pmabench.store.records import RunData
 
@@ -216,66 +213,8 @@ def calibration_table(
     return frame.filled() if len(frame) else frame
 
 
-def methods_paragraph(analyses: Sequence[Analysis], runs: Sequence[RunData]) -> str:
-    """A paragraph on methods for a paper: specimen, bench, tests with their ranges, evaluation, what was left out."""
-    sentences = []
-    for name, about in specimens(runs):
-        sentences.append(f"The specimen was a {name}" + (f" ({about})" if about else "") + ".")
-    names = [name for name, _ in benches(runs)]
-    if names:
-        sentences.append(f"All tests were carried out on {'; '.join(f'the {n}' if ' ' in n else n for n in names)}.")
-    if any(a.simulated for a in analyses) or any(run.simulated for run in runs):
-        alone = all(a.simulated for a in analyses) and all(run.simulated for run in runs)
-        sentences.append(f"{'All' if alone else 'Some'} tests were simulated; no real muscle moved in them.")
-    tests = [_test(kind, [run for run in runs if run.kind == kind]) for kind in dict.fromkeys(r.kind for r in runs)]
-    if tests:
-        sentences.append(f"The test programme comprised {'; '.join(tests)}.")
-    seen: set[str] = set()
-    for analysis in (a for a in analyses if a.kind != AGREEMENT and a.estimates):
-        method = analysis.estimates[0].method
-        how = described(method).partition(". ")[0].rstrip(".")
-        how = f"{how[:1].lower()}{how[1:]}" if how[1:2].islower() else how
-        named = f"The {kind_title(analysis.kind).lower()} tests were evaluated by the {clean(method, 120)} method"
-        sentences.append(f"{named} ({how})." if how and method not in seen else f"{named}.")
-        seen.add(method)
-    dropped = sum(len(a.dropped) for a in analyses)
-    if any(e.ci95 for a in analyses for e in a.estimates):
-        sentences.append(
-            "Uncertainties are 95 % intervals that combine, as root sum of squares, the scatter between trials, the "
-            "contribution of the estimator and the calibration of the channels, as far as each was assessed."
-        )
-    if dropped:
-        sentences.append(f"{dropped} trial{'s were' if dropped > 1 else ' was'} excluded from the evaluation.")
-    sentences.append(f"Data were acquired and evaluated with pmabench {__version__}.")
-    return clean(" ".join(sentences), 12_000)
-
-
-def _test(kind: str, runs: Sequence[RunData]) -> str:
-    """One kind of test with its trials, ranges and rate, as part of a sentence."""
-    trials = [trial for run in runs for trial in run.trials]
-    names = in_order((key for trial in trials for key in trial.point if key not in ("mass", "cycles")), POINTS)
-    parts = [span(name, [t.point[name] for t in trials if name in t.point], " = ") for name in names]
-    done = sum(trial.status == "finished" and not trial.again for trial in trials)
-    rates = sorted({run.rate for run in runs if run.rate})
-    rate = f", sampled at {number(rates[0])} Hz" if len(rates) == 1 else ""
-    where = f" at {', '.join(parts)}" if parts else ""
-    return f"{kind_title(kind).lower()} ({done} trial{'s' if done != 1 else ''}{where}{rate})"
-
-
 def span(name: str, values: Sequence[float], sign: str) -> str:
     """The range of a coordinate of operating points in words, with its label and a sign: `P = 100 to 500 kPa`."""
     label, unit = point_shown(name)
     low, high = (number(float(f"{end / unit.scale:.4g}")) for end in (min(values), max(values)))
     return f"{label}{sign}{low if low == high else f'{low} to {high}'} {unit.unit}".rstrip()
-
-
-def citation(title: str, report_id: str, when: str, simulated: bool) -> tuple[str, str]:
-    """How to cite the report: one line, and the same as a BibTeX entry."""
-    from pmabench.report.files.latex import escaped
-
-    year = when[-10:-6] if re.fullmatch(r"\d{4}", when[-10:-6]) else ""
-    note = f"report {report_id}, pmabench {__version__}" + (", simulated" if simulated else "")
-    line = f"{title}. Characterisation {note}{', ' + when if when else ''}."
-    fields = {"title": escaped(title), "note": escaped(note[:1].upper() + note[1:])} | ({"year": year} if year else {})
-    body = ",\n".join(f"  {name} = {{{text}}}" for name, text in fields.items())
-    return line, f"@misc{{pmabench-{report_id},\n{body}\n}}"

@@ -361,9 +361,6 @@ def tuning_table(analyses: Sequence[Analysis]) -> Frame:
                 row[unit.label(clean(symbol))] = unit.rounded(value, half_of(value, found.get("ci95")))
         margins = numbers_of(entry.get("margins"))
         row |= {head: rounded(margins[name] / scale, None, 3) for name, head, scale in _MARGINS if name in margins}
-        for name, head, scale in (("overshoot", "overshoot [%]", 100), ("settling", "settling [s]", 1)):
-            if isinstance(entry.get(name), int | float):
-                row[head] = rounded(entry[name] * scale, None, 2)
         rows.append(row)
     wanted = ("operating point", "rule", "K_p", "T_i", "T_d", "K_i", "K_d", *(head for _, head, _ in _MARGINS))
     heads = list(dict.fromkeys(head for row in rows for head in row))

@@ -1,4 +1,4 @@
-"""Analyses as files: `csv_files`; for others: `export`, `latex`, and models for simulators.
+"""Analyses as files: `csv_files`; for others: `export`, and models for simulators.
 
 The models: `simulator_models`, `surface_model`.
 """

@@ -1,11 +1,13 @@
 "use strict";
 // Draws the charts of a report anew with uPlot: zoom, linked cursors, values, methods on and off.
-// The static pictures stay in the page for print, and for browsers without scripts.
+// The static pictures stay in the page for print, and for browsers without scripts; what is folded is drawn when opened.
 (function () {
   var store = document.getElementById("charts");
   if (!store || !window.uPlot || !window.ResizeObserver) return;
   var INK = "#16202a", QUIET = "#52606d", GRID = "#e8edf2", UNTESTED = "#eef1f5", STAMP = "#8a4b00";
-  var SYMBOL = /([A-Za-z]+)_([A-Za-z0-9]{1,4})/g;
+  var GLYPHS = { "": "\u2014", o: "\u25cf", s: "\u25a0", "^": "\u25b2", v: "\u25bc", D: "\u25c6", "<": "\u25c0", x: "\u00d7", "+": "+", "*": "\u2217", ".": "\u00b7" };
+  var OPEN = { o: "\u25cb", s: "\u25a1", "^": "\u25b3", v: "\u25bd", D: "\u25c7", "<": "\u25c1" };
+  var SYMBOL = /([A-Za-zα-ω]+)_([A-Za-z0-9]{1,4})/g;
 
   function element(tag, name, parent) {
     var made = document.createElement(tag);
@@ -38,7 +40,7 @@
     });
   }
 
-  function write(ctx, text, x, y, size, color, bold, end) {
+  function write(ctx, text, x, y, size, color, bold, end, halo) {
     var font = function (s) { return (bold ? "600 " : "") + s + "px Inter, sans-serif"; };
     var cut = pieces(text), wide = 0;
     cut.forEach(function (piece) {
@@ -49,6 +51,10 @@
     ctx.textAlign = "left";
     ctx.textBaseline = "middle";
     if (end) x -= wide;
+    if (halo) {
+      ctx.strokeStyle = "#fff"; ctx.lineWidth = 0.3 * size; ctx.font = font(size);
+      ctx.strokeText(cut.map(function (piece) { return piece[0] + piece[1]; }).join(""), x, y);
+    }
     cut.forEach(function (piece) {
       ctx.font = font(size); ctx.fillText(piece[0], x, y); x += ctx.measureText(piece[0]).width;
       ctx.font = font(0.75 * size); ctx.fillText(piece[1], x, y + 0.25 * size); x += ctx.measureText(piece[1]).width;
@@ -96,39 +102,67 @@
       ctx.fill();
     }
     shown(chart, on).forEach(function (s) {
-      if (s.dots || !s.half) return;
+      if (s.mark || !s.half) return;
       ctx.globalAlpha = 0.16; ctx.fillStyle = s.color; ctx.beginPath();
       for (var i = 0; i < s.x.length; i++) ctx[i ? "lineTo" : "moveTo"](X(s.x[i]), Y(s.y[i] + (s.half[i] || 0)));
       for (i = s.x.length - 1; i >= 0; i--) ctx.lineTo(X(s.x[i]), Y(s.y[i] - (s.half[i] || 0)));
       ctx.fill(); ctx.globalAlpha = 1;
     });
+    chart.levels.forEach(function (l) {
+      var a = l.upright ? X(l.at) : Y(l.at), b = l.to === null ? a : l.upright ? X(l.to) : Y(l.to), p = window.devicePixelRatio || 1;
+      ctx.fillStyle = ctx.strokeStyle = l.color; ctx.globalAlpha = l.to === null ? 1 : 0.13; ctx.lineWidth = p; ctx.beginPath();
+      if (l.upright) ctx.rect(Math.min(a, b), box.top, Math.abs(b - a), box.height);
+      else ctx.rect(box.left, Math.min(a, b), box.width, Math.abs(b - a));
+      ctx.setLineDash(l.dashed ? [5 * p, 4 * p] : []);
+      if (l.to === null) ctx.stroke(); else ctx.fill();
+      ctx.setLineDash([]); ctx.globalAlpha = 1;
+    });
     ctx.restore();
   }
 
-  function over(u, chart, on) {  // dots with bars; names at the curves
+  function curve(ctx, s, X, Y, p) {  // a line with its gaps; x need not rise
+    var known = false;
+    ctx.strokeStyle = s.color; ctx.lineWidth = 1.25 * s.width * p; ctx.lineJoin = "round";
+    ctx.setLineDash(s.dashed ? [5 * p, 4 * p] : []); ctx.beginPath();
+    s.x.forEach(function (x, i) {
+      var there = x !== null && s.y[i] !== null;
+      if (there) ctx[known ? "lineTo" : "moveTo"](X(x), Y(s.y[i]));
+      known = there;
+    });
+    ctx.stroke(); ctx.setLineDash([]);
+  }
+
+  function mark(ctx, s, a, b, r) {
+    ctx.beginPath();
+    if (s.shape) s.shape.forEach(function (line) {
+      line.forEach(function (at, i) { ctx[i ? "lineTo" : "moveTo"](a + r * at[0], b + r * at[1]); });
+      if (line.length > 2) ctx.closePath();
+    });
+    else ctx.arc(a, b, s.mark === "." ? 0.35 * r : r, 0, 7);
+    if (!s.shape || s.shape[0].length > 2) ctx.fill();
+    if (s.hollow || (s.shape && s.shape[0].length < 3)) ctx.stroke();
+  }
+
+  function over(u, chart, on) {  // lines, marks with bars; names at the curves and of levels
     var ctx = u.ctx, box = u.bbox, p = window.devicePixelRatio || 1, names = [], firsts = [];
     var X = function (v) { return u.valToPos(v, "x", true); }, Y = function (v) { return u.valToPos(v, "y", true); };
     ctx.save();
     ctx.beginPath(); ctx.rect(box.left - 4 * p, box.top - 4 * p, box.width + 8 * p, box.height + 8 * p); ctx.clip();
     shown(chart, on).forEach(function (s) {
       var last = null;
+      if (!s.mark) curve(ctx, s, X, Y, p);
       s.x.forEach(function (x, i) {
         if (s.y[i] === null || x < u.scales.x.min || x > u.scales.x.max) return;
         if (last === null || x >= s.x[last]) last = i;
-        if (!s.dots) return;
+        if (!s.mark) return;
         var a = X(x), b = Y(s.y[i]), half = s.half && s.half[i], r = 3.2 * p;
         ctx.strokeStyle = s.color; ctx.fillStyle = s.hollow ? "#fff" : s.color; ctx.lineWidth = 1.6 * p;
         ctx.beginPath();
         if (half) { ctx.moveTo(a, Y(s.y[i] - half)); ctx.lineTo(a, Y(s.y[i] + half)); ctx.stroke(); ctx.beginPath(); }
-        if (s.cross) {
-          ctx.moveTo(a - r, b - r); ctx.lineTo(a + r, b + r); ctx.moveTo(a - r, b + r); ctx.lineTo(a + r, b - r);
-          ctx.stroke();
-          return;
-        }
-        ctx.arc(a, b, r, 0, 7); ctx.fill();
-        if (s.hollow) { ctx.lineWidth = 1.3 * p; ctx.stroke(); }
+        if (s.hollow) ctx.lineWidth = 1.3 * p;
+        mark(ctx, s, a, b, r);
       });
-      var text = s.method ? s.said : s.label;
+      var text = chart.legend ? "" : s.method ? s.said : s.label;
       if (text && s.first) firsts.push({ text: text, y: Y(s.y[0]), color: s.name });
       else if (text && last !== null) names.push({ text: text, x: X(s.x[last]), y: Y(s.y[last]), color: s.name });
     });
@@ -151,9 +185,15 @@
       write(ctx, name.text, Math.min(Math.min(name.x, box.left + box.width) + 6 * p, edge - wide), name.y, 11.5 * p,
         name.color, true);
     });
-    write(ctx, chart.y, 1, 8 * p, 12 * p, INK, false);
-    write(ctx, chart.stamp, edge, 8 * p, 10.5 * p, STAMP, true, true);
-    if (chart.words) write(ctx, chart.words, edge - (chart.stamp ? 86 * p : 0), 8 * p, 11 * p, QUIET, false, true);
+    chart.levels.forEach(function (l) {
+      var x = l.upright ? X(l.at) + (l.right ? 4 : -4) * p : l.right ? box.left + 4 * p : box.left + box.width - 4 * p;
+      var y = l.upright ? (l.first ? box.top + box.height - 9 * p : box.top + 9 * p) : Y(l.at) + (l.first ? -8 : 9) * p;
+      if (l.name) write(ctx, l.name, x, y, 11 * p, l.color, false, !l.right, true);
+    });
+    var head = (chart.title ? 24 : 8) * p;
+    write(ctx, chart.title, chart.yNamed ? 1 : box.left, 8 * p, 12 * p, INK, true);
+    if (chart.yNamed) write(ctx, chart.y, 1, head, 12 * p, INK, false);
+    write(ctx, chart.stamp, edge, head, 10.5 * p, STAMP, true, true);
   }
 
   function at(s, x) {  // [x, y, half] of a line at x, or of the nearest dot
@@ -161,7 +201,7 @@
     for (var i = 0; i < s.x.length; i++)
       if (s.y[i] !== null && (best < 0 || Math.abs(s.x[i] - x) < Math.abs(s.x[best] - x))) best = i;
     if (best < 0) return null;
-    if (s.dots) return [s.x[best], s.y[best], s.half && s.half[best]];
+    if (s.mark) return [s.x[best], s.y[best], s.half && s.half[best]];
     var first = Math.min.apply(null, s.x.slice(0, 1)), end = s.x[s.x.length - 1];
     if (x < first || x > end) return null;
     var next = s.x[best] < x ? best + 1 : best - 1;
@@ -170,46 +210,32 @@
     return [x, s.y[best] + share * (s.y[next] - s.y[best]), null];
   }
 
-  function values(line, charts, chart, on, x) {
+  function values(line, charts, chart, on, x, y) {
     line.textContent = "";
     var linked = charts.filter(function (c) { return c === chart || (c.together && c.together === chart.together); });
     var texts = [], place = x;
     linked.forEach(function (c) {
-      var lines = shown(c, on).filter(function (s) { return !s.dots && !s.hidden; });
-      var from = lines.length ? lines : shown(c, on).filter(function (s) { return s.dots; });
+      var lines = shown(c, on).filter(function (s) { return !s.mark && !s.hidden; });
+      var from = lines.length ? lines : shown(c, on).filter(function (s) { return s.mark && s.mark !== "."; });
       from.forEach(function (s) {
         var found = at(s, x), span = c.range[1] - c.range[0];
         if (!found || Math.abs(found[0] - x) > 0.08 * span) return;
-        if (s.dots) place = found[0];
+        if (s.mark) place = found[0];
         var half = found[2] ? " \u00b1\u2009" + number(+(+found[2]).toPrecision(2)) : "";
         texts.push((s.said || c.y.replace(/ \[.*/, "")) + " " + number(found[1]) + half + unit(c.y));
       });
     });
+    if (!texts.length) texts.push(chart.y.replace(/ \[.*/, "") + " " + number(+y.toPrecision(3)) + unit(chart.y));
     say(line, chart.x.replace(/ \[.*/, "") + " = " + number(place) + unit(chart.x), "b");
     texts.forEach(function (text) { say(line, text, "span"); });
   }
 
   function plot(chart, box, on, charts, line, moved) {
-    var lines = chart.series.filter(function (s) { return !s.dots; });
-    var xs = union(lines.length ? lines : chart.series), place = new Map();
-    if (lines.length && chart.series.length > lines.length) xs = union(chart.series);
-    xs.forEach(function (x, i) { place.set(x, i); });
-    var data = [xs];
-    lines.forEach(function (s) {
-      var column = new Array(xs.length);
-      s.x.forEach(function (x, i) { column[place.get(x)] = s.y[i]; });
-      data.push(column);
-    });
-    if (!lines.length) data.push(new Array(xs.length).fill(null));
+    var xs = union(chart.series.concat({ x: chart.range.slice(0, 2) }));
     var longest = Math.max.apply(null, chart.series.map(function (s) {
-      return s.method || s.first ? 0 : s.label.length;
+      return chart.legend || s.method || s.first || !s.label ? 0 : s.label.length;
     }));
-    var gutter = 7.6 * Math.max.apply(null, chart.series.map(function (s) { return s.first ? s.label.length : 0; }));
-    var series = [{}].concat(lines.map(function (s) {
-      return { stroke: s.color, width: 1.25 * s.width, dash: s.dashed ? [5, 4] : undefined, spanGaps: true, pxAlign: 0,
-        points: { show: false } };
-    }));
-    if (!lines.length) series.push({ points: { show: false } });
+    var gutter = 7.6 * Math.max.apply(null, chart.series.map(function (s) { return s.first && s.label ? s.label.length : 0; }));
     var size = function () {
       var wide = Math.max(200, box.clientWidth);
       return { width: wide, height: Math.round(Math.max(charts.length > 1 ? 170 : 270, Math.min(wide * chart.ratio, 420))) };
@@ -217,12 +243,12 @@
     var ticks = function (u, splits) { return splits.map(number); };
     var axis = { stroke: QUIET, font: "11px Inter, sans-serif", values: ticks };
     var options = Object.assign(size(), {
-      padding: [22, chart.sides ? 1.4 * chart.sides[1] : 12 + 6.4 * longest, chart.named ? 2 : 6, 2],
+      padding: [chart.title ? 38 : 22, chart.sides ? 1.4 * chart.sides[1] : 12 + 6.4 * longest, chart.named ? 2 : 6, 2],
       legend: { show: false },
       cursor: { y: false, points: { show: false }, drag: { x: true, y: false },
         sync: chart.together ? { key: box.dataset.key + chart.together } : undefined },
       scales: {
-        x: { time: false, range: function (u, low, high) {
+        x: { time: false, distr: chart.log ? 3 : 1, range: function (u, low, high) {
           var whole = low == null || high - low >= 0.999 * (xs[xs.length - 1] - xs[0]);
           return whole ? chart.range.slice(0, 2) : [low, high];
         } },
@@ -232,19 +258,21 @@
         Object.assign({ grid: { show: false }, ticks: { stroke: QUIET, width: 1, size: 3 }, gap: 3, space: 60,
           border: { show: true, stroke: QUIET, width: 1 }, label: chart.named ? chart.x : undefined, labelSize: 18,
           labelFont: "12px Inter, sans-serif", size: chart.named ? 24 : 8 }, axis,
+          chart.ticks.length ? { splits: function () { return chart.ticks; }, filter: function (u, at) { return at; } } : {},
           chart.named ? {} : { values: function (u, splits) { return splits.map(function () { return ""; }); } }),
         Object.assign({ grid: { stroke: GRID, width: 1 }, ticks: { show: false }, gap: 6 + gutter, space: 34,
           size: function (u, texts) {
             if (chart.sides) return 1.6 * chart.sides[0];
             return texts ? 12 + gutter + 6.6 * Math.max.apply(null, texts.map(function (t) { return t.length; })) : 40;
-          } }, axis)
+          } }, axis, chart.yNamed ? {} : { values: function (u, splits) { return splits.map(function () { return ""; }); } })
       ],
-      series: series,
+      series: [{}, { points: { show: false } }],
       hooks: {
         drawClear: [function (u) { under(u, chart, on); }],
         draw: [function (u) { over(u, chart, on); }],
         setCursor: [function (u) {
-          if (u.cursor.event && u.cursor.left >= 0) values(line, charts, chart, on, u.posToVal(u.cursor.left, "x"));
+          if (u.cursor.event && u.cursor.left >= 0)
+            values(line, charts, chart, on, u.posToVal(u.cursor.left, "x"), u.posToVal(u.cursor.top, "y"));
         }],
         setScale: [function (u, key) {
           var near = 1e-4 * (chart.range[1] - chart.range[0]);
@@ -253,7 +281,7 @@
         }]
       }
     });
-    var made = new uPlot(options, data, element("div", "live", box));
+    var made = new uPlot(options, [xs, new Array(xs.length).fill(null)], element("div", "live", box));
     new ResizeObserver(function () {
       var wanted = size();
       if (wanted.width !== made.width || wanted.height !== made.height) made.setSize(wanted);
@@ -261,12 +289,34 @@
     return made;
   }
 
+  function names(entry, parent) {  // what the marks mean, once each
+    var known = new Set(), line = element("p", "names", parent);
+    entry.charts.forEach(function (c) {
+      c.series.forEach(function (s) {
+        if (!c.legend || !s.label || known.has(s.label)) return;
+        known.add(s.label);
+        var one = element("span", "", line), glyph = element("b", "", one);
+        glyph.textContent = (s.dashed ? "\u2013 \u2013" : s.hollow && OPEN[s.mark] || GLYPHS[s.mark || ""]) + " ";
+        glyph.style.color = s.color;
+        say(one, s.label);
+      });
+    });
+    if (!known.size) line.remove();
+  }
+
   function figure(entry) {
-    var whole = document.getElementById("figure-" + entry.n);
-    if (!whole) return;
-    var holder = whole.querySelector(".charts"), boxes = holder.querySelectorAll(".chart"), on = {}, plots = [];
+    var whole = document.getElementById("figure-" + entry.n), still = whole.querySelector(".still"), on = {}, plots = [];
+    var drawn = element("div", "");
+    still.after(drawn);
+    names(entry, drawn);
+    var holder = element("div", "charts " + entry.layout, drawn), boxes = entry.charts.map(function (chart) {
+      var box = element("div", "chart", holder);
+      box.style.gridColumn = chart.column;
+      return box;
+    });
+    holder.style.gridTemplateColumns = entry.widths.map(function (wide) { return wide + "fr"; }).join(" ");
     var bar = element("div", "controls"), line = element("p", "values");
-    holder.after(bar, line);
+    drawn.append(bar, line);
     var hint = "Point at a curve for its values; drag to zoom.";
     line.textContent = hint;
     var reset = element("button", "", bar);
@@ -288,17 +338,26 @@
       });
     });
     entry.charts.forEach(function (chart, i) {
-      var picture = boxes[i].querySelector("svg desc");
       boxes[i].dataset.key = entry.n + "-";
       plots.push(plot(chart, boxes[i], on, entry.charts, line, function (zoomed) { reset.hidden = !zoomed; }));
       var live = boxes[i].querySelector(".live");
       live.setAttribute("role", "img");
-      live.setAttribute("aria-label", picture ? picture.textContent : "");
+      live.setAttribute("aria-label", chart.alt);
     });
     holder.addEventListener("mouseleave", function () { line.textContent = hint; });
-    document.documentElement.classList.add("drawn");
+    whole.classList.add("drawn");
   }
 
-  function start() { JSON.parse(store.textContent).forEach(figure); }
+  function start() {
+    JSON.parse(store.textContent).forEach(function (entry) {
+      var still = document.querySelector("#figure-" + entry.n + " .still");
+      var seen = new ResizeObserver(function () {
+        if (!still.clientWidth) return;
+        seen.disconnect();
+        figure(entry);
+      });
+      if (still) seen.observe(still);
+    });
+  }
   if (document.fonts && document.fonts.ready) document.fonts.ready.then(start, start); else start();
 })();

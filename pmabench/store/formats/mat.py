@@ -10,7 +10,7 @@ from __future__ import annotations
 import io
 import re
 import zlib
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from itertools import pairwise
 from typing import Any, Literal
 
@@ -22,8 +22,6 @@ from pmabench.store.records import Array
 
 EVEN = 5.0
 """Longest step of a clock column [median steps]."""
-STILL = 0.05
-"""A matrix is a record of zeros if its channels vary by less than this share of the largest range of others."""
 _MATRIX = re.compile(r"(.+)\(:,(\d+)\)")
 
 
@@ -58,35 +56,6 @@ def _places(name: str) -> list[str]:
         inside = inside.rpartition(".")[0]
         places.append(inside)
     return [*places, ""]
-
-
-def alike(columns: Mapping[str, Array], owners: Mapping[str, str]) -> tuple[list[str], list[str]]:
-    """Matrices with clocks and the usual number of columns, which are the tests of a file; and records of zeros."""
-    widths: dict[str, int] = {}
-    for name, owner in owners.items():
-        if owner and matrix_of(name) == owner:
-            widths[owner] = widths.get(owner, 0) + 1
-    if not widths:
-        return [], []
-    usual = max(set(widths.values()), key=lambda width: (list(widths.values()).count(width), width))
-    tests = [owner for owner, width in widths.items() if width == usual]
-    zeros = _zeros(columns, tests, usual) if len(tests) > 1 else []
-    return [test for test in tests if test not in zeros], zeros
-
-
-def _zeros(columns: Mapping[str, Array], tests: Sequence[str], width: int) -> list[str]:
-    spans = np.array([[_span(columns[f"{test}(:,{k + 1})"]) for k in range(width)] for test in tests])
-    clocks = [all(is_clock(columns[f"{test}(:,{k + 1})"]) for test in tests) for k in range(width)]
-    moving = spans[:, ~np.array(clocks)]
-    if not moving.shape[1]:
-        return []
-    most = np.maximum(moving.max(axis=0), 1e-300)
-    return [test for test, still in zip(tests, (moving < STILL * most).all(axis=1), strict=True) if still]
-
-
-def _span(values: Array) -> float:
-    good = values[np.isfinite(values)]
-    return float(np.ptp(np.quantile(good, [0.01, 0.99]))) if len(good) else 0.0
 
 
 DEEPEST = 8

@@ -43,8 +43,10 @@ PULLS = 0.1
 """Share of its span above its lowest value from which on a force counts as pulling."""
 EXCHANGED = 0.1
 """A force of a held muscle moves less than this share of its span while the pressure is at its lowest."""
-ATMOSPHERE = (97.5e3, 104e3)
-"""Range of atmospheric pressure [Pa absolute], up to 300 m above sea level."""
+ATMOSPHERE = (90e3, 106e3)
+"""Range of atmospheric pressure [Pa absolute], up to 900 m above sea level."""
+LENGTHS = (3e-4, 3.0)
+"""Possible range of the highest reading of a length [m]: less is no motion, more no muscle."""
 VACUUM = -30e3
 """Lowest possible gauge pressure in a muscle [Pa]."""
 MANY = 100
@@ -72,6 +74,8 @@ class Muscle:
     contraction: float | None
     held: bool
     """Whether its length is held constant, so that force follows pressure."""
+    moves: bool = True
+    """Whether its length changes within the test; where it is only set, a trial may be at full length throughout."""
 
 
 def slope_of_held(values: Mapping[str, Array], flags: Flags) -> float | None:
@@ -94,24 +98,27 @@ def judge(report: Report, channels: Mapping[str, Checked], good: Bools, muscle: 
     if pressure is None or good.sum() < 20:
         return []
     P = pressure.si[good]
-    questions: list[Question] = []
+    questions = _lengths(channels, good, LENGTHS[0] if muscle.moves else 0.0)
     if force is not None:
         questions += _converter(report, force, good)
     if (fastest := _fastest(report.t[good], P)) < FILLED:
         questions.append(_pace(fastest))
     peak = float(np.quantile(P, 0.999))
-    if not PEAKS[0] <= peak <= PEAKS[1]:
-        text = f"its peak is {show(peak, 'pressure', 4)}, and muscles need {show(PEAKS[0], 'pressure')} at least and "
-        text += f"bear {show(PEAKS[1], 'pressure')} at most: its unit or its scale is wrong{_other_unit(peak)}"
-        report.withhold("magnitude", text, "pressure")
-        return questions
+    command = channels.get("pressure_command")
+    asked = 0.0 if command is None else float(np.quantile(command.si[good], 0.999))
+    for role, top in (("pressure", peak), *([("pressure_command", asked)] if asked else [])):
+        if not PEAKS[0] <= top <= PEAKS[1]:
+            text = f"its peak is {show(top, 'pressure', 4)}, and muscles need {show(PEAKS[0], 'pressure')} at least "
+            text += f"and bear {show(PEAKS[1], 'pressure')} at most: its unit or its scale is wrong{_other_unit(top)}"
+            report.withhold("magnitude", text, role)
+            return questions
     if float(np.quantile(P, 0.02)) < VACUUM:
         low = show(float(np.quantile(P, 0.02)), "pressure", 3)
         report.add("doubt", "zero", f"falls to {low}, as no supply does: its zero or its scale is doubtful", "pressure")
     if force is None:
         return questions if muscle.diameter else [*questions, *_low(pressure, peak)]
     F = force.si[good]
-    _absolute(report, P, F)
+    questions += _absolute(P, F)
     if muscle.held:
         _exchanged(report, P, F)
     m = slope_of(P, F) if muscle.held else _steepest(P, F)
@@ -264,15 +271,29 @@ def _at_lowest(rests: Array, moves: Array) -> float:
     return float(np.ptp(np.quantile(near, [0.1, 0.9])) / np.ptp(np.quantile(moves, [0.002, 0.998])))
 
 
-def _absolute(report: Report, P: Array, F: Array) -> None:
-    """Report a pressure that rests near atmospheric pressure while the muscle does not pull: it may be absolute."""
-    low = float(np.quantile(P, 0.02))
-    rest = float(np.quantile(F, 0.02)) + 0.05 * float(np.quantile(F, 0.998) - np.quantile(F, 0.02)) >= F
-    near = P < low + 0.03 * float(np.ptp(P))
-    if ATMOSPHERE[0] <= low <= ATMOSPHERE[1] and near.mean() > 0.02 and float(rest[near].mean()) > 0.9:
-        text = f"rests at {show(low, 'pressure', 4)} where the muscle does not pull: is it absolute? The intercept of "
-        text += "force over pressure is at stake, its slope is not"
-        report.add("doubt", "absolute", text, "pressure")
+def _lengths(channels: Mapping[str, Checked], good: Bools, least: float) -> list[Question]:
+    """Questions for the units of lengths that are impossible at their highest; `least` [m] it must reach."""
+    lengths = [channels[role] for role in ("displacement", "displacement_command") if role in channels]
+    tops = [(channel.rule, float(np.quantile(np.abs(channel.si[good]), 0.995))) for channel in lengths]
+    text = "is the length in {}, as the map says? It is {} at most; correct the unit, or say confirmed: [length-unit]"
+    return [
+        Question("length-unit", rule.column, text.format(rule.raw_unit, show(top, "length", 3)), rule.raw_unit)
+        for rule, top in tops
+        if top and not least <= top <= LENGTHS[1]
+    ]
+
+
+def _absolute(P: Array, F: Array) -> list[Question]:
+    """Question whether a pressure is absolute that rests near atmospheric pressure while the muscle does not pull."""
+    low, rest = float(np.quantile(P, 0.005)), float(np.quantile(F, 0.02))
+    near = P <= low + 0.03 * float(np.ptp(P))
+    pulls = rest + 0.05 * float(np.quantile(F, 0.998) - rest) < F
+    if not ATMOSPHERE[0] <= low <= ATMOSPHERE[1] or float(pulls[near].mean()) > 0.1:
+        return []
+    text = f"is the pressure absolute? It rests at {show(low, 'pressure', 4)} where the muscle does not pull; then its "
+    text += "line in the map needs offset: -101.325 kPa, which moves the intercept of force over pressure; if not, say "
+    text += "confirmed: [absolute]"
+    return [Question("absolute", "pressure", text, "gauge")]
 
 
 def _converter(report: Report, channel: Checked, good: Bools) -> list[Question]:

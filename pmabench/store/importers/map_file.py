@@ -194,9 +194,12 @@ Role = Literal[
 Written = Literal[
     "number", "index", "header step", "clock", "date and time", "epoch", "serial days", "matlab days", "labview"
 ]
-SCALES = {"points", "line", "recorded_with", "contraction", "range", "dropout", "blip", "spike"}
+SCALES = {"points", "line", "recorded_with", "contraction", "range", "dropout", "spike"}
 """Entries that only a measured or commanded column can have."""
-Confirmable = Literal["counts", "gain", "jump", "lag", "magnitude", "pressure-unit", "sibling", "swap", "time-unit"]
+Confirmable = Literal[
+    "absolute", "counts", "gain", "jump", "lag", "length-unit", "magnitude", "pressure-unit", "sibling", "swap",
+    "time-unit",
+]  # fmt: skip
 NUMBERS = frozenset(("phase", "trial", "flags", "simulated", "ignore"))
 """Roles of columns that are not measured, and have neither unit nor scale."""
 PointName = Literal[
@@ -259,8 +262,6 @@ class ColumnFile(Strict):
     range: tuple[Reading, Reading] | None = None
     dropout: Reading | None = None
     """Reading of a broken wire."""
-    blip: Reading | None = None
-    """Reading that is invalid in a single sample between two others."""
     stale_after: Time | None = None
     spike: Reading | None = None
     """Largest distance of a single sample from its neighbours; by default from the scatter of the channel."""

@@ -50,7 +50,6 @@ class ColumnRule:
     high: float = inf
     dropout: float | None = None
     """Raw reading of a broken wire."""
-    blip: float | None = None
     stale_after: float | None = None
     spike: float | None = None
     """Largest distance of a single sample from its neighbours [SI]; None: from the scatter of the channel."""
@@ -283,7 +282,6 @@ class _Rules:
             low=min(ends),
             high=max(ends),
             dropout=self.raw(file.dropout, file.unit, (*at, "dropout")),
-            blip=self.raw(file.blip, file.unit, (*at, "blip")),
             spike=None if file.spike is None else abs(self.limit(file.spike, (*scale[:3], 0.0), (*at, "spike"))),
             **{key: getattr(file, key) for key in ("whole", "stale_after", "late_by", "optional")},
             calibration={

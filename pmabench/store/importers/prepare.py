@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from pmabench.base.errors import InvalidFile, Problem, invalid
+from pmabench.base.kind import Imported
 from pmabench.base.quantities import show
 from pmabench.store.importers import long, plausible, quality
 from pmabench.store.importers.found import Checked, Found, Summary
@@ -109,7 +110,7 @@ def _prepared(path: Path, rules: ImportMap, table: Table, name: str, number: int
     seen, found = looked.seen, looked.seen.found + constant
     specimen = rules.file.specimen
     contraction = named.point.get("contraction")
-    muscle = Muscle(specimen.inner_diameter, specimen.nominal_length, contraction, _held(rules))
+    muscle = Muscle(specimen.inner_diameter, specimen.nominal_length, contraction, _held(rules), _moves(rules.test))
     more, questions = plausible.judge(seen.t, seen.checked, seen.flags, muscle, rules.file.confirmed)
     found += looked.placed(more)
     parts, doubts = segments(seen.t, seen.values, seen.flags, rules, named.point)
@@ -182,6 +183,12 @@ def _with_constants(
 def _held(rules: ImportMap) -> bool:
     """Whether the muscle is held at one length throughout a file, so that its force follows pressure."""
     return rules.test.held and rules.trials.by in ("file", "ramp")
+
+
+def _moves(test: Imported) -> bool:
+    """Whether the length changes in every test of a kind: it follows the pressure, is driven, or pulled."""
+    driven = test.commanded is not None and test.commanded.output == "displacement"
+    return driven or test.follows == "displacement" or (test.recording and not test.held)
 
 
 def _own_flags(path: Path, values: Array) -> Flags:

@@ -278,13 +278,6 @@ def _channel(report: Report, channel: Checked) -> None:
         text = f"reads {rule.dropout:g} {rule.raw_unit}, as a cut wire does"
         report.mark(cut, Flag.DROPOUT, "doubt", "dropout", text, name)
         out = out | cut
-    if rule.blip is not None:
-        here = _equals(raw, rule.blip)
-        alone = here & ~np.roll(here, 1) & ~np.roll(here, -1)
-        alone[[0, -1]] = False
-        text = f"reads {rule.blip:g} {rule.raw_unit} in a single sample between others"
-        report.mark(alone, Flag.DROPOUT, "note", "blip", text, name)
-        out = out | alone
     looked_at = codes(report, channel, ~out)
     if rule.whole:
         _whole(report, channel, looked_at)

@@ -231,7 +231,7 @@ def test_another_range_than_the_bench_says_is_refused(tmp_path):
     record = laser(tmp_path / "laser")
 
     def other(sensor):
-        sensor._options = replace(sensor._options, span=50)
+        sensor._options = replace(sensor._options, range=50)
 
     assert refused(record, other) == "laser: is a sensor of 50.00mm, and the bench file says 100 mm"
 

@@ -56,13 +56,9 @@ def until(met, seconds=10.0):
 
 
 def test_a_free_port_is_printed_and_what_was_planned_and_typed_happens_and_is_logged(tmp_path):
-    path, log, plan = own_bench(tmp_path), tmp_path / "log.jsonl", tmp_path / "plan.yaml"
+    path, log, plan = own_bench(tmp_path), tmp_path / "log.jsonl", tmp_path / "plan.txt"
     path.write_text(re.sub(r"address: 127.0.0.1:\d+", "address: 127.0.0.1:0", path.read_text()))
-    plan.write_text(
-        "schema: pmabench.faults/1\nfaults:\n"
-        "  - {after: 200 ms, device: regulator, fault: exception, value: 6, count: 1}\n"
-        "  - {after: 10 ms, load: 6 kg}\n"
-    )
+    plan.write_text("fault regulator exception 6 count 1 after 200 ms\nload 6 kg after 10 ms\n")
 
     def logged(*kinds):
         return [entry for entry in map(json.loads, log.read_text().splitlines()) if entry["kind"] in kinds]

@@ -275,3 +275,21 @@ def test_polls_keep_their_pace(rig):
     periods = [(b - a) / 1e6 for a, b in pairwise(times)]
     assert statistics.median(periods) == pytest.approx(10.0, abs=1.0)
     assert len(times) + device.missed >= 195
+
+
+@pytest.mark.parametrize("busy", [1, 3])
+def test_a_device_that_is_busy_is_asked_again(rig, busy):
+    """One exception 6 to a set-point ended the run and tripped the bench; the specification asks to send it again."""
+    emulator, _record, device = rig
+    faults = emulator.devices["regulator"].faults
+    faults.set("exception", 6, busy)
+    device.write("pressure", 200.0)
+    assert [entry["si"] for entry in sent(emulator)] == [200e3]
+    faults.set("exception", 6, busy)
+    assert device.read_back("pressure") == 200.0
+    faults.set("exception", 6)
+    took, refused = timed(device.write, "pressure", 300.0)
+    assert took < BOUND
+    assert "exception 6" in str(refused)
+    assert not isinstance(refused, NotSent), "some devices carry it out nevertheless"
+    faults.set("clear")

@@ -250,18 +250,3 @@ def test_mistakes_in_the_bench_file_are_reported_there(tmp_path):
 @pytest.mark.parametrize("name", ["registers/nothing.yaml", "../elsewhere.yaml", "/etc/passwd", "registers"])
 def test_a_map_that_cannot_be_read_is_one_problem(tmp_path, name):
     assert len(problems(bench(tmp_path, "registers/pressure-regulator.yaml", name))) == 1
-
-
-@pytest.mark.parametrize(
-    ("address", "slowest", "reported"),
-    [
-        ("/dev/ttyUSB0", "1 s", True),
-        ("/dev/ttyUSB0", "200 ms", True),  # and before that its timeout of 100 ms
-        ("/dev/ttyUSB0", "140 ms", False),
-        ("127.0.0.1:502", "1 s", False),
-    ],
-)
-def test_a_serial_line_on_which_one_lost_answer_ends_a_run_is_reported(address, slowest, reported):
-    lines = list(ModbusDevice.lacks(regulator(address, slowest=slowest)))
-    assert bool(lines) is reported
-    assert all("slowest" in line and "250 ms" in line for line in lines)

@@ -86,7 +86,7 @@ def muscle_of(cause: str, amount: float) -> Muscle:
     return {"several": SEVERAL, "real": REAL}.get(cause, Muscle())
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=4)
 def _moved(muscle: Muscle, slack: float, tube: float) -> tuple[Array, Array]:
     t = np.arange(round(LASTS * RATE) * FINE + 1) / (RATE * FINE)
     P = np.array([behind(stepped(steps(target), t), tube, RATE * FINE) for _, target in PLAN])

@@ -333,10 +333,11 @@ class Followed:
         state = _left(campaign, column, sums, keep)
         total = np.zeros_like(state)
         stops, slow = state[:parts], state[parts:]
+        above, below, decay = np.ones(stops.shape), -np.ones(stops.shape), np.tile(keep, slow.shape[1])
         for row in sums:
-            slow *= keep
+            slow *= decay
             state += row
-            np.minimum(np.maximum(stops, -1.0, out=stops), 1.0, out=stops)
+            np.minimum(np.maximum(stops, below, out=stops), above, out=stops)
             total += state
             row[...] = total
         return cls(begins, column, sums)

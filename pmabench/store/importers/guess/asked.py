@@ -17,6 +17,7 @@ from pmabench.files.quantity import unit_factor
 from pmabench.store.importers.found import slope
 from pmabench.store.importers.guess.columns import Guess, Proposal, value_of, words
 from pmabench.store.importers.guess.signs import lone
+from pmabench.store.importers.magnitude import ATMOSPHERE
 from pmabench.store.importers.map_file import OPEN, QUANTITY
 from pmabench.store.importers.map_rules import NUMBER, number_in
 from pmabench.store.records import Array
@@ -37,13 +38,6 @@ UNITS = {
     "length": ("mm", "cm", "m", "in"),
 }
 """Units to choose from, the likelier ones first."""
-USUAL, STEEP = (1.5e5, 1.2e6), 3.0
-"""Usual range of a test's highest pressure [Pa], and a slope [N/kPa] above that of a 20 mm muscle: an ideal braid of 25
-degrees has 2.6 N/kPa at full length (Chou and Hannaford 1996)."""
-PRELOAD = 0.1
-"""Whole numbers of newtons offset from 0 at lowest pressure by this share of their span are probably counts."""
-AIR = (9e4, 1.06e5)
-"""A pressure whose lowest value is in this range [Pa] is probably absolute."""
 SHARES = (0.0, 0.02, 0.05, 0.1)
 """Thresholds of force to try, as shares of the range from lowest to highest."""
 CHANGES = 0.02
@@ -51,7 +45,7 @@ CHANGES = 0.02
 SAME_MOMENT = 1e-3
 """Two time columns that differ by less than this [s] in each row give the same times."""
 LENGTH = re.compile(rf"{NUMBER}(?=[ _]?mm)")
-"""A length in the name of a file or of a test [mm]."""
+"""A length in the name of a file [mm]."""
 CONTRACTIONS = words("contraction disp displacement stroke shortening hub verkurzung kontraktion")
 """Words in the name of a column that is a contraction."""
 
@@ -88,94 +82,21 @@ def factor_of(column: Proposal) -> Asked | None:
     return Asked("", f"{text}, was it multiplied already ({each[1]}), or is it in {unit} ({each[2]})?")
 
 
-def unit_of(column: Proposal, guess: Guess) -> Asked | None:
-    """Question for the unit of a column, if the file gives none or one that its numbers contradict; else None."""
-    quantity, top = quantity_of(column), max(_top(column.good), column.elsewhere)
-    if quantity not in HIGHEST or top == 0:
+def unit_of(column: Proposal) -> Asked | None:
+    """Question for the unit of a column if the file gives none; else None."""
+    quantity = quantity_of(column)
+    top = float(np.quantile(np.abs(column.good), 0.995)) if len(column.good) else 0.0
+    if column.unit or quantity not in HIGHEST or top == 0:
         return None
-    said = QUANTITY.get(column.unit) == quantity
-    if column.unit and not said:
-        return None  # grams, milliamperes, counts: the calibration is asked for instead
-    fits = [unit for unit in UNITS[quantity] if _possible(top, unit, quantity)]
-    if said:
-        if column.role == "supply":
-            return None
-        if _possible(max(_top(column.good, 0.95), column.elsewhere), column.unit, quantity):
-            return _steep(column, guess) if column.role == "pressure" else _counted(column, guess)
-        head = (
-            f'"{column.name}" is in {column.unit} by its name, {_reach(top, column.unit, quantity)}, which no test has'
-        )
-        return Asked(column.unit, f"{head}: which unit is it? {_candidates(top, fits, quantity)}")
+    low, high = HIGHEST[quantity]
+    each = {unit: top * unit_factor(unit, quantity) for unit in UNITS[quantity]}
+    fits = {unit: show(float(f"{most:.3g}"), quantity, 9) for unit, most in each.items() if low <= most <= high}
     if not fits or (column.whole and quantity != "pressure"):
         return None  # the calibration of counts is asked for instead
     head = f'in which unit is "{column.name}"? The file does not say it.'
     more = "; or counts of a converter (count, with the line to the quantity)" if column.whole else ""
-    value = "" if column.whole or column.factor else column.unit if column.unit in fits else fits[0]
-    return Asked(value, f"{head} {_candidates(top, fits, quantity)}{more}")
-
-
-def _steep(column: Proposal, guess: Guess) -> Asked | None:
-    """Question for the unit of a pressure that stays low while the force rises too steeply with it."""
-    force, top = guess.role("force"), _top(column.good) * unit_factor(column.unit, "pressure")
-    if force is None or force.factor or QUANTITY.get(force.unit) != "force" or top >= USUAL[0]:
-        return None
-    P = column.values * unit_factor(column.unit, "pressure")
-    slope = 1e3 * abs(_slope(*_both(P, force.values * unit_factor(force.unit, "force"))))
-    others = [
-        unit
-        for unit in UNITS["pressure"]
-        if unit != column.unit and USUAL[0] <= _top(column.good) * unit_factor(unit, "pressure") <= USUAL[1]
-    ]
-    if slope < STEEP or not others:
-        return None
-    head = f'"{column.name}" is in {column.unit} by its name, {_reach(_top(column.good), column.unit, "pressure")}'
-    text = (
-        f"{head}, and the force then rises by {slope:.3g} N/kPa, as of a muscle far wider than 20 mm: which unit is it?"
-    )
-    return Asked(column.unit, f"{text} {_candidates(_top(column.good), others, 'pressure')}")
-
-
-def _counted(column: Proposal, guess: Guess) -> Asked | None:
-    """Question whether a force is in counts: it has whole numbers only, in one of several files or far from 0."""
-    if column.role != "force":
-        return None
-    pressure, head = guess.role("pressure"), f'"{column.name}" is in {column.unit} by its name'
-    ask = "are these counts of a converter? Then write count, and the line to N; else its unit"
-    if column.mixed:
-        return Asked(column.unit, f"{head}, and holds whole numbers in {column.mixed}, but not in others: {ask}")
-    if pressure is None or not column.whole:
-        return None
-    P, F = _both(pressure.values, column.values)
-    low, high = _ends(P, F)
-    if abs(low) < PRELOAD * abs(high - low):
-        return None
-    return Asked(column.unit, f"{head}, holds whole numbers only, and {low:.4g} at the lowest pressure: {ask}")
-
-
-def pull_of(column: Proposal, guess: Guess) -> Asked | None:
-    """Question whether a load cell reads tension as negative; None where nothing suggests it.
-
-    The force of a held muscle should rise with pressure, and a muscle with a driven length always pulls.
-    """
-    pressure = guess.role("pressure")
-    if column.role != "force" or pressure is None:
-        return None
-    if guess.test.held:
-        P, F = _both(pressure.values, column.values)
-        low, high = _ends(P, F)
-        if not high < low or float(np.corrcoef(P, F)[0, 1]) > -0.8:
-            return None
-    elif guess.test.follows != "force" or not negative(column):
-        return None
-    pulls, pushes = (f"{sign} {column.unit}/{column.unit}" for sign in ("-1", "1"))
-    how = "falls while the pressure rises" if guess.test.held else "is negative throughout"
-    text = f'"{column.name}" {how}: does it read pulling as negative?'
-    return Asked(pulls, f"{text} Then the slope is {pulls}; with {pushes} the muscle pushes")
-
-
-def negative(column: Proposal) -> bool:
-    """Whether at least 90 % of a column's values are below 0."""
-    return len(column.good) > 0 and float(np.quantile(column.good, 0.9)) < 0
+    candidates = "; ".join(f"{unit}: at most {most}" for unit, most in fits.items())
+    return Asked("" if column.whole or column.factor else next(iter(fits)), f"{head} Read in {candidates}{more}")
 
 
 def _both(one: Array, other: Array) -> tuple[Array, Array]:
@@ -195,11 +116,11 @@ def _ends(P: Array, F: Array) -> tuple[float, float]:
 def gauge_of(column: Proposal) -> Asked | None:
     """Question whether a pressure is absolute, where its numbers suggest it or contradict its name; else None."""
     named = absolute(column)
-    if column.role != "pressure" or QUANTITY.get(column.unit) != "pressure" or re.search("gauge", column.name, re.I):
+    if column.role != "pressure" or re.search("gauge", column.name, re.I) or not len(column.good):
         return None
     factor = unit_factor(column.unit, "pressure")
-    low, top = (float(v) * factor for v in np.quantile(column.good, [0.001, 0.995])) if len(column.good) else (0.0, 0.0)
-    vented = AIR[0] <= low <= AIR[1]
+    low, top = (float(value) * factor for value in np.quantile(column.good, [0.001, 0.995]))
+    vented = ATMOSPHERE[0] <= low <= ATMOSPHERE[1]
     if vented == named or (not named and top <= 1.2 * low):
         return None
     head = f'"{column.name}" never falls below {show(low, "pressure", 4)}'
@@ -258,7 +179,7 @@ def threshold_of(guess: Guess) -> tuple[Asked, list[str]] | None:
     if len(P) < 50:
         return None
     low, top = _ends(P, F)
-    if top < low:  # tension reads negative, which is asked for
+    if top < low:  # the cell reads pulling as negative
         F, low, top = -F, -low, -top
     near = np.abs(F - (low + top) / 2) < abs(top - low)  # forces out of range are left to the checks of the import
     near &= ~lone(P) & ~lone(F)
@@ -320,22 +241,3 @@ def _coarseness(clock: Array) -> float:
     """Smallest step [s] of a clock, shape (n,), that repeats readings, and so may be late by that; else 0."""
     steps = np.diff(clock)
     return float(np.min(steps[steps > 0])) if (steps == 0).any() and (steps > 0).any() else 0.0
-
-
-def _top(values: Array, share: float = 0.995) -> float:
-    """Quantile `share` of the absolute values: the highest value without outliers."""
-    return float(np.quantile(np.abs(values), share)) if len(values) else 0.0
-
-
-def _possible(top: float, unit: str, quantity: str) -> bool:
-    low, high = HIGHEST[quantity]
-    return low <= top * unit_factor(unit, quantity) <= high
-
-
-def _reach(top: float, unit: str, quantity: str) -> str:
-    """The highest value as text with three digits, never as a power of ten."""
-    return f"at most {show(float(f'{top * unit_factor(unit, quantity):.3g}'), quantity, 9)}"
-
-
-def _candidates(top: float, units: list[str], quantity: str) -> str:
-    return "Read in " + "; ".join(f"{unit}: {_reach(top, unit, quantity)}" for unit in units)

@@ -35,10 +35,6 @@ class Proposal:
     """Unit in pmabench's spelling; empty where unknown."""
     reasons: list[str] = field(default_factory=list)
     doubts: list[str] = field(default_factory=list)
-    mixed: str = ""
-    """A file in which it has whole numbers although not in others; empty where all files are alike."""
-    elsewhere: float = 0.0
-    """Highest absolute value in other files of the same layout."""
     middles: list[float] = field(default_factory=list)
     """Its median in each of the other files."""
     question: str = ""
@@ -102,8 +98,6 @@ class Guess:
     reasons: dict[str, list[str]] = field(default_factory=dict)
     """Part of the map (`file`, `sampling`, `trials`, `name_tells`) -> reasons."""
     doubts: list[str] = field(default_factory=list)
-    known: str = ""
-    """Name of a shipped map that fits these files; empty for none."""
     frequency: float = 0.0
     """Frequency of a command that is a single sine [Hz], with the resolution of its spectrum; else 0."""
     either: str = ""
@@ -114,8 +108,6 @@ class Guess:
     """Whether the pressure was not recorded and is taken from the operating point."""
     tests: list[str] = field(default_factory=list)
     """Names of the tests in each file, in order, if there are several."""
-    slower: tuple[float, float] = (1.0, 1.0)
-    """Smallest and largest sampling period of the tests, relative to that of the test that is shown."""
     period: float = 0.0
     """Sampling period from a header [s]; 0 where none gives it."""
     seconds: Array | None = None

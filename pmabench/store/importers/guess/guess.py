@@ -13,17 +13,16 @@ from pathlib import Path
 
 import numpy as np
 
-from pmabench.base.errors import InvalidFile, PmaError, invalid
+from pmabench.base.errors import invalid
 from pmabench.base.kind import Imported
-from pmabench.files.shipped import shipped_folder
-from pmabench.store.formats.mat import alike, is_clock, matrix_of
+from pmabench.store.formats.mat import is_clock, matrix_of
 from pmabench.store.formats.record import format_of
 from pmabench.store.formats.text import TextLayout
-from pmabench.store.importers.guess.columns import SECONDS, Guess, Proposal, choose, proposal, usual_step
+from pmabench.store.importers.guess.columns import SECONDS, Guess, Proposal, choose, proposal
 from pmabench.store.importers.guess.layout import TextGuess, guess_layout
 from pmabench.store.importers.guess.signs import choose_kind, count, share
-from pmabench.store.importers.map_file import PLACE, spelled
-from pmabench.store.importers.map_rules import NUMBER, number_in, read_map
+from pmabench.store.importers.map_file import spelled
+from pmabench.store.importers.map_rules import NUMBER, number_in
 from pmabench.store.importers.table import content_of, read_all, read_table
 from pmabench.store.records import Array
 
@@ -42,30 +41,24 @@ def look(path: Path, kinds: Mapping[str, Imported]) -> Guess:
     layout = form.layout.model_validate({"format": form.name})
     found, units, left_out = read_all(path, layout)
     owner = form.together(found)
-    tests, zeros = alike(found, owner)
     groups: dict[tuple[str, int], list[str]] = {}
     for name, values in found.items():
         groups.setdefault((owner[name], len(values)), []).append(name)
     if not groups:
         raise invalid(path, "holds no columns of numbers")
-    good = [key for key in groups if key[0] not in zeros and (len(tests) < 2 or key[0] in tests)]
-    group = max(good or groups, key=lambda key: (len(groups[key]) * key[1], key))
+    group = max(groups, key=lambda key: (len(groups[key]) * key[1], key))
     others = [name for key, names in groups.items() if key != group for name in names]
     reasons = [f"{form.title}, by its first bytes; {len(groups[group])} columns of {group[1]} samples each"]
-    if zeros:
-        reasons.append(f"nothing moves in {', '.join(zeros)[:200]}: records of the zeros, left out")
-    if len(tests) > 1:
-        reasons.append(f"{len(tests)} matrices with a clock each: each is a test; {group[0]} is shown")
-        others = [name for name in others if matrix_of(name) not in tests]
     if others:
         reasons.append(f"columns of other lengths, groups or clocks are left out: {', '.join(others)[:200]}")
+    if len({key[0] for key in groups if key[0] and key[0] == matrix_of(groups[key][0])}) > 1:
+        how = 'the map then says "{test}" in place of its name, and tests: with the names'
+        reasons.append(f"several matrices have a clock; if each is a test as {group[0]} is, {how}")
     columns = [_proposal(name, found[name], units[name], groups[group]) for name in groups[group]]
     if any(column.bare for column in columns):
         reasons.append("columns of a matrix have no names")
     choose(columns)
     guess = Guess([path], layout, columns, [*others, *left_out], kinds, reasons={"file": reasons})
-    if len(tests) > 1:
-        _several(guess, tests, group[0], found)
     if guess.role("time") is None:
         guess.doubts.append('nothing in the file gives the time: say "period" if the samples are evenly apart')
     return guess
@@ -78,22 +71,6 @@ def _proposal(name: str, values: Array, said: str, names: Sequence[str]) -> Prop
     column = proposal(name, values, said, bare=bare)
     column.reasons += [f"the file says its unit, {column.unit}"] if spelled(said) else []
     return column
-
-
-def _several(guess: Guess, tests: list[str], shown: str, columns: Mapping[str, Array]) -> None:
-    """Note that each of several matrices is a test, of which one is shown."""
-    guess.tests = tests
-    for column in guess.columns:
-        column.name = column.name.replace(shown, PLACE, 1)
-    own = _usual_step(columns, shown)
-    steps = [_usual_step(columns, test) / own for test in tests] if own else []
-    guess.slower = (min(steps, default=1.0), max(steps, default=1.0))
-
-
-def _usual_step(columns: Mapping[str, Array], matrix: str) -> float:
-    """Median step of the clock of a matrix; 0 without a clock."""
-    clock = (v for name, v in columns.items() if matrix_of(name) == matrix and is_clock(v))
-    return usual_step(next(clock, np.empty(0)))
 
 
 def _look_at_text(path: Path, guessed: TextGuess, kinds: Mapping[str, Imported]) -> Guess:
@@ -291,7 +268,6 @@ def _guess(files: Sequence[Path], kinds: Mapping[str, Imported]) -> Guess:
     _names(guess)
     _frequency(guess)
     _lacking(guess)
-    guess.known = _known(files[0], kinds)
     for role in ("time", "pressure"):
         if guess.role(role) is None:
             guess.doubts.append(f"no column was found that is a {role}: say which it is, for the map needs one")
@@ -308,7 +284,10 @@ def _guess(files: Sequence[Path], kinds: Mapping[str, Imported]) -> Guess:
 def _alike(guess: Guess, path: Path) -> None:
     """Compare another file, which must have the same layout; without a header it may have more columns, or fewer."""
     other = look(path, guess.kinds)
-    _mixed(guess, other)
+    there = {column.name: column for column in other.columns}
+    for column in guess.columns:
+        if column.name in there and len(values := there[column.name].good):
+            column.middles.append(float(np.median(values)))
     same = type(other.layout) is type(guess.layout)
     if same and isinstance(guess.layout, TextLayout) and isinstance(other.layout, TextLayout):
         keys = ("delimiter", "quoted", "decimal", "encoding", "header", "skip_lines", "comment")
@@ -344,17 +323,6 @@ def _further(guess: Guess, other: Guess) -> None:
     guess.layout = guess.layout.model_copy(update={"names": [column.name for column in guess.columns]})
 
 
-def _mixed(guess: Guess, other: Guess) -> None:
-    """Note columns with whole numbers in only one of two files, and the range and median of columns in the other."""
-    there = {column.name: column for column in other.columns}
-    for column in guess.columns:
-        if column.name in there and len(values := there[column.name].good):
-            column.elsewhere = max(column.elsewhere, float(np.quantile(np.abs(values), 0.995)))
-            column.middles.append(float(np.median(values)))
-        if column.name in there and (here := column.whole) != there[column.name].whole:
-            column.mixed = (guess if here else other).files[0].name
-
-
 def _sampling(guess: Guess) -> None:
     time = guess.role("time")
     if time is None:
@@ -366,12 +334,12 @@ def _sampling(guess: Guess) -> None:
     if not len(forward):
         return
     usual = float(np.median(forward))
-    guess.rate = (0.7 / (usual * guess.slower[1]), 1.4 / (usual * guess.slower[0]))
+    guess.rate = (0.7 / usual, 1.4 / usual)
     early, late = (float(step) for step in np.quantile(steps[steps >= 0], [0.05, 0.95]))
     even = late < 1.01 * usual and early > 0.99 * usual
     guess.gap = (1.5 if even else 4.0) * usual
     wide = float(np.quantile(forward, 0.995))
-    guess.gap = max(guess.gap, 1.5 * wide if wide < 10 * usual else 0.0) * guess.slower[1]
+    guess.gap = max(guess.gap, 1.5 * wide if wide < 10 * usual else 0.0)
     how = "evenly" if even else f"unevenly, {early:.3g} to {late:.3g} s apart"
     found = [f"median {1 / usual:.4g} samples a second, {how}"]
     if (steps < 0).any():
@@ -430,19 +398,3 @@ def _lacking(guess: Guess) -> None:
             form = f"as {{is: {role}, unit: {'bar' if role == 'pressure' else 'N'}}}"
             text = f"which column is the {role}? No name says it; there is {names}"
             column.question = f"{text}: write what it is and its unit, {form}"
-
-
-def _known(path: Path, kinds: Mapping[str, Imported]) -> str:
-    """Name of a shipped map that fits a file without a fault and at the expected rate; empty for none."""
-    from pmabench.store.importers.prepare import prepare
-
-    if path.stat().st_size > LOOKED_AT:
-        return ""
-    for each in sorted(shipped_folder("map").glob("*.yaml")):
-        try:
-            findings = prepare(path, read_map(each, kinds)).findings
-        except (InvalidFile, PmaError):
-            continue
-        if not any(found.level == "fault" or found.kind == "rate" for found in findings):
-            return each.stem
-    return ""

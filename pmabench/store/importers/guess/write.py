@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
@@ -16,7 +15,6 @@ from pmabench.store.importers.guess import asked
 from pmabench.store.importers.guess.asked import Asked, quantity_of
 from pmabench.store.importers.guess.columns import UNLIKE_TIME, Guess, Proposal
 from pmabench.store.importers.map_file import NUMBERS, OPEN, QUANTITY
-from pmabench.store.importers.map_rules import number_in
 
 TRUTH = {"y", "n", "yes", "no", "on", "off", "true", "false", "null"}
 """Texts that YAML may take for a truth value or null."""
@@ -124,8 +122,7 @@ def _tests(guess: Guess) -> list[str]:
         value: Entries = {"name": scalar(test)}
         if guess.open_point("contraction"):
             text = f'at which contraction was "{test}" held? For instance 8 mm'
-            in_name = next((f"{number_in(each):g} mm" for each in asked.LENGTH.findall(test)), "")
-            value["point"] = {"contraction": Asked(in_name, text)}
+            value["point"] = {"contraction": Asked("", text)}
         lines += entry("- ", value, "")
     return lines
 
@@ -136,33 +133,23 @@ LOOPS = (("mA", 4.0, 20.0, 22.0), ("mV", 4000.0, 20000.0, 21000.0), ("V", 0.0, 5
 """Usual output ranges of sensors: unit, ends, and the largest reading that still fits the range."""
 LEAST_STEP = "10 kPa"
 UNASKED = {
-    "supply": "the supply enters no result; --span supply=LOW..HIGH keeps it",
+    "supply": "the supply enters no result",
     "flow": "a flow enters the volume of isometric-pressurisation alone, as a mass; docs/maps.md makes one of litres",
 }
 """Role of a column that most tests do not need -> advice if the file does not give its scale."""
-
-
-@dataclass(frozen=True)
-class Span:
-    """Measuring range of a sensor, given by the user: low and high, in one unit."""
-
-    low: float
-    high: float
-    unit: str
 
 
 SHARE = r"%|percent|per cent|strain"
 """Words in the name of a length that is a relative length."""
 
 
-def map_text(guess: Guess, spans: Mapping[str, Span]) -> str:
-    """The map as YAML. `spans`: role -> measuring range of its sensor."""
+def map_text(guess: Guess) -> str:
+    """The map as YAML."""
     lines = [
         "# Proposed by pmabench import --guess, each choice with its reason. Look at all: a guess is no knowledge.",
         "# ?? is a question that no file answers: write the answer in its place. What follows it is taken with",
         "# `import --unresolved` until then, and no result is accepted.",
         *(comment(f"DOUBT: {text}") for text in guess.doubts),
-        *([comment(f"The shipped map {guess.known} takes these files as they are.")] if guess.known else []),
         "schema: pmabench.map/1",
         f"name: {scalar('guessed from ' + guess.files[0].name)}",
         "source: unknown  # who recorded these files, when and where",
@@ -174,14 +161,14 @@ def map_text(guess: Guess, spans: Mapping[str, Span]) -> str:
     ]
     with np.errstate(all="ignore"):  # damaged files hold numbers of any size
         for column in guess.columns:
-            lines += _column(column, guess, spans)
+            lines += _column(column, guess)
     if guess.role("time") is None:
         lines.append('  "@time": {is: time, unit: s}  # made from the period, for no column is a time')
     lines += [*_tests(guess), "", *_name_lines(guess)]
     gap = f"{guess.gap * 1e3:.3g} ms" if guess.gap < 1 else f"{guess.gap:.3g} s"
     low, high = (f"{rate:.4g}" for rate in guess.rate)
     lines.append(f"sampling: {{rate: [{low} Hz, {high} Hz], gap: {gap}}}{_why(guess, 'sampling')}")
-    lines += _trials(guess, spans)
+    lines += _trials(guess)
     lines += _siblings(guess) + _analysis(guess)
     more = "  # make, nominal_length, inner_diameter; with the last one a force or pressure in a wrong unit is found"
     lines.append(f"specimen: {{type: unknown, serial: unknown}}{more}")
@@ -230,7 +217,7 @@ def _file(guess: Guess) -> list[str]:
     return lines + _no_time(guess)
 
 
-def _column(column: Proposal, guess: Guess, spans: Mapping[str, Span]) -> list[str]:
+def _column(column: Proposal, guess: Guess) -> list[str]:
     head = [f"  {comment(text)}" for text in column.reasons]
     head += [f"  {comment('DOUBT: ' + text)}" for text in column.doubts]
     name = f"{scalar(column.name)}: "
@@ -238,13 +225,13 @@ def _column(column: Proposal, guess: Guess, spans: Mapping[str, Span]) -> list[s
     if column.role == "date":
         return [*head, *entry(name, {"is": "date", **({"order": _order(column)} if column.order else {})})]
     known = QUANTITY.get(column.unit) == quantity_of(column) and not column.factor
-    if column.role in UNASKED and column.role not in spans and not known:
+    if column.role in UNASKED and not known:
         return [*head, f"  {comment(UNASKED[column.role])}", f"  {name}ignore"]
     if column.role == "time":
         return [*head, *_time(column, guess)]
     if column.role in NUMBERS or column.role == "point":
         return [*head, *entry(name, role if column.role == "ignore" else {"is": role, **_marks(column)})]
-    body, why = _measured(column, guess, spans)
+    body, why = _measured(column, guess)
     lines = [line for key, value in {"is": role, **body}.items() for line in entry(f"{key}: ", value, "    ")]
     return [*head, *(f"  {comment(text)}" for text in why), f"  {name}".rstrip(), *lines]
 
@@ -262,9 +249,9 @@ def _marks(column: Proposal) -> Entries:
     return {"marks": called}
 
 
-def _measured(column: Proposal, guess: Guess, spans: Mapping[str, Span]) -> tuple[Entries, list[str]]:
+def _measured(column: Proposal, guess: Guess) -> tuple[Entries, list[str]]:
     """Entries of a measured or commanded column, and reasons."""
-    body, why = _scale(column, guess, spans.get(column.role))
+    body, why = _scale(column)
     if column.role == "displacement":
         contraction, reasons = _contraction(column, guess)
         if isinstance(body["unit"], Asked) and contraction:  # its zero has the same open unit
@@ -276,10 +263,6 @@ def _measured(column: Proposal, guess: Guess, spans: Mapping[str, Span]) -> tupl
     if column.unit == "mA" and zeros:
         body["dropout"] = "0 mA"
         why.append(f"{zeros} samples read 0 mA, as a cut wire does")
-    blip = _blip(column.good) if column.role.endswith("command") else None
-    if blip is not None:
-        body["blip"] = f"{blip:g} {column.unit}"
-        why.append(f"{blip:g} is read in single samples between others only")
     return body, why
 
 
@@ -287,7 +270,7 @@ def _line(slope: Value, offset: Value) -> Entries:
     return {"slope": slope, "offset": offset}
 
 
-def _scale(column: Proposal, guess: Guess, span: Span | None) -> tuple[Entries, list[str]]:
+def _scale(column: Proposal) -> tuple[Entries, list[str]]:
     """Entries for unit, calibration and range of a column, and reasons."""
     quantity, unit = quantity_of(column), column.unit
     if quantity == "length" and unit in (None, "", "%") and re.search(SHARE, column.name, re.IGNORECASE):
@@ -297,40 +280,33 @@ def _scale(column: Proposal, guess: Guess, span: Span | None) -> tuple[Entries, 
         zero = f"0 {'N' if quantity == 'force' else unit}"
         zero = asked.air(unit) if quantity == "pressure" and asked.absolute(column) else zero
         return {"unit": unit, "line": _line(slope, zero)}, []
-    if (unit_asked := asked.unit_of(column, guess)) is not None:
+    if (unit_asked := asked.unit_of(column)) is not None:
         return {"unit": unit_asked}, []
     if QUANTITY.get(unit) == quantity:
-        if (air := asked.gauge_of(column)) is not None:
+        if quantity == "pressure" and (air := asked.gauge_of(column)) is not None:
             return {"unit": unit, "line": _line(f"1 {unit}/{unit}", air)}, []
         if quantity == "pressure" and asked.absolute(column):
             line = _line(f"1 {unit}/{unit}", asked.air(unit))
             return {"unit": unit, "line": line}, ["absolute by its name: the normal pressure of air is taken off"]
-        if (pull := asked.pull_of(column, guess)) is not None:
-            return {"unit": unit, "line": _line(pull, f"0 {unit}")}, []
         return {"unit": unit}, []
     if quantity == "force" and unit in asked.WEIGHT:
         line = _line(f"{asked.WEIGHT[unit]} N/{unit}", "0 N")
         return {"unit": unit, "line": line}, [f"a weight in {unit}, with 9.80665 m/s2"]
-    return _from_reading(column, quantity, span)
+    return _from_reading(column, quantity)
 
 
-def _from_reading(column: Proposal, quantity: str, span: Span | None) -> tuple[Entries, list[str]]:
+def _from_reading(column: Proposal, quantity: str) -> tuple[Entries, list[str]]:
     """Entries for the calibration of a current, a voltage or counts, as far as usual sensor ranges give it."""
     unit, (edge, example) = column.unit or "count", EDGE[quantity]
-    low, high = (f"{span.low:g} {span.unit}", f"{span.high:g} {span.unit}") if span else (f"0 {edge}", "")
     top = float(np.quantile(column.good, 0.999)) if len(column.good) else 0.0
     for known, begin, end, most in LOOPS:
         if unit == known and top <= most:
             why = f"{begin:g} to {end:g} {unit} is a usual range, {top:.4g} {unit} the highest here"
             text = f'which {quantity} is {end:g} {unit} of "{column.name}"? For instance {example}'
-            upper = json.dumps(high) if span else Asked("", text)
-            points: Value = [[f"{begin:g} {unit}", low], [f"{end:g} {unit}", upper]]
+            points: Value = [[f"{begin:g} {unit}", f"0 {edge}"], [f"{end:g} {unit}", Asked("", text)]]
             return {"unit": unit, "points": points, **({"range": "[3.5 mA, 20.5 mA]"} if unit == "mA" else {})}, [why]
     ends = (float(column.good.min()), float(column.good.max())) if len(column.good) else (0.0, 0.0)
     text = f'"{column.name}" reads {ends[0]:.4g} to {ends[1]:.4g} {unit}: '
-    if span is not None:
-        which = Asked("", f"{text}at which readings has it the {quantity} {low}, and {high}?")
-        return {"unit": scalar(unit), "points": [[which, low], [Asked("", ""), high]]}, []
     which = Asked("", f"{text}which line makes a {quantity} of it? Slope in {edge}/{unit}, offset in {edge}")
     return {"unit": scalar(unit), "line": _line(which, Asked("", ""))}, []
 
@@ -340,7 +316,7 @@ def _contraction(column: Proposal, guess: Guess) -> tuple[Entries, list[str]]:
 
     A free muscle shortens with pressure; a driven one pulls less when shortened.
     """
-    which = asked.unit_of(column, guess)
+    which = asked.unit_of(column)
     unit = (which.value if which else column.unit) or "count"
     pressure, force = guess.role("pressure"), guess.role("force")
     unsure = f'does "{column.name}" fall or rise while the muscle shortens? Strokes have the other sign otherwise'
@@ -362,7 +338,7 @@ def _contraction(column: Proposal, guess: Guess) -> tuple[Entries, list[str]]:
         table = np.column_stack([np.ones(len(P)), P - P.mean(), x - x.mean()])
         try:
             less = float(np.linalg.lstsq(table, force.values[good], rcond=None)[0][2])
-            less *= -1.0 if asked.negative(force) else 1.0
+            less *= -1.0 if np.quantile(force.good, 0.9) < 0 else 1.0  # the cell reads pulling as negative
         except np.linalg.LinAlgError:
             return open_sign, []
         rises, zero = less < 0, float(np.quantile(x, 0.01 if less < 0 else 0.99))
@@ -394,19 +370,6 @@ def _zero(column: Proposal, unit: str, x: np.ndarray, rises: bool) -> Entries:
     return {"reading": reading, "zero": Asked(taken, text)}
 
 
-def _blip(values: np.ndarray) -> float | None:
-    """A value far below all others that occurs in single samples only; None where there is none."""
-    if len(values) < 20:
-        return None
-    low = float(values.min())
-    here = values == low
-    alone = here[1:-1] & ~here[:-2] & ~here[2:]
-    near = np.abs(values[:-2] - values[2:])[alone] if alone.any() else np.empty(0)
-    others = values[~here]
-    far = len(others) > 0 and float(others.min()) - low > 0.02 * float(np.ptp(others) or 1.0)
-    return low if far and len(near) and here[1:-1].sum() == alone.sum() and here.sum() <= 0.01 * len(values) else None
-
-
 def _name_lines(guess: Guess) -> list[str]:
     if not guess.forms:
         return []
@@ -430,11 +393,11 @@ def _name_lines(guess: Guess) -> list[str]:
     return [*lines, ""]
 
 
-def _trials(guess: Guess, spans: Mapping[str, Span]) -> list[str]:
+def _trials(guess: Guess) -> list[str]:
     trials: Entries = dict(guess.trials)
     channel = guess.role(guess.smallest_of)
     if "smallest" in guess.trials and channel is not None:
-        trials["smallest"] = _smallest(float(guess.trials["smallest"]), channel, spans.get(guess.smallest_of))
+        trials["smallest"] = _smallest(float(guess.trials["smallest"]), channel)
     point: Entries = {}
     if at := "" if guess.tests else asked.contraction_of(guess):
         point["contraction"] = at
@@ -473,12 +436,8 @@ def _analysis(guess: Guess) -> list[str]:
     return entry("analysis: ", {"force_above": above, **({"also_at": others} if others else {})}, "")
 
 
-def _smallest(reading: float, command: Proposal, span: Span | None) -> str:
+def _smallest(reading: float, command: Proposal) -> str:
     """Smallest step of the command with a unit of pressure; `LEAST_STEP` where its scale is unknown."""
     if QUANTITY.get(command.unit) == "pressure" and not command.factor:
         return f"{reading:.3g} {command.unit}"
-    top = float(np.quantile(command.good, 0.999))
-    for known, begin, end, most in LOOPS:
-        if span is not None and command.unit == known and top <= most:
-            return f"{reading / (end - begin) * (span.high - span.low):.3g} {span.unit}"
     return LEAST_STEP
