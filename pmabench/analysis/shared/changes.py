@@ -15,6 +15,7 @@ from itertools import pairwise
 from math import nan
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmabench.analysis.shared import student
 from pmabench.analysis.shared.form import Doubt, weighed
@@ -27,6 +28,8 @@ LEAST = 0.01
 """Relative change of values at one operating point from which on it counts [1]."""
 DRIFTS = 0.02
 """The same for a line in time that is significant, but not `SURE`."""
+BENT = 0.25
+"""Share of what the rate of motion changes that may differ from a line."""
 SURE = 8.0
 """Standard errors above which a step or a line in time is a change."""
 RELATIVE = 0.2
@@ -159,7 +162,7 @@ class Found:
 class Rows:
     """Values that repeat each other within a cell, arrays of shape (n,).
 
-    `cell` numbers operating points, `t` is the time [s], `rate` changes with what may change the value within a cell.
+    `cell` numbers operating points, `t` is the time [s], `rate` is what the value may depend on within a cell.
     """
 
     cell: Array
@@ -173,7 +176,7 @@ class Rows:
         good = mean > RELATIVE * mean.max(initial=0.0)
         rows = Rows(self.cell[good], self.t[good], self.value[good], self.rate[good])
         cells, mean = len(set(rows.cell.tolist())), mean[good]
-        free = len(mean) - cells - 2
+        free = len(mean) - 2 * cells - 1
         if len(mean) < FEWEST or cells < 2 or free < 1:
             return None
         times = np.unique(rows.t)[1:]
@@ -181,9 +184,12 @@ class Rows:
         within = 0.5 * (since + (rows.t > times[:, None]))  # a step while the first of these values was measured
         tried = np.vstack([(rows.t - rows.t.min()) / np.ptp(rows.t), since, within])
         off, rate, tried = rows.value / mean - 1, rows.rate - rows._mean(rows.rate), tried - rows._mean(tried)
-        if rate.any():
-            rate = rate / np.linalg.norm(rate)
-            off, tried = off - (off @ rate) * rate, tried - np.outer(tried @ rate, rate)
+        by_rate = rate * (np.unique(rows.cell)[:, None] == rows.cell)
+        by_rate = by_rate[by_rate.any(axis=1)]
+        by_rate /= np.linalg.norm(by_rate, axis=1)[:, None]
+        line = off @ by_rate.T @ by_rate
+        least = max(LEAST, BENT * float(np.ptp(line)))
+        off, tried = off - line, tried - tried @ by_rate.T @ by_rate
         power = np.sum(tried**2, axis=1)
         power[0] = power[0] if power[0] > len(off) * APART**2 else 0.0
         known = power > APART**2
@@ -191,8 +197,8 @@ class Rows:
         left = off @ off - sizes**2 * power
         error = np.sqrt(np.maximum(left, 1e-12) / free / np.where(known, power, np.inf))
         best = int(np.argmin(left))
-        if abs(sizes[best]) <= max(LEAST, SURE * error[best]):
-            if abs(sizes[0]) <= max(DRIFTS, float(student.ppf(0.975, free)) * error[0]):
+        if abs(sizes[best]) <= max(least, SURE * error[best]):
+            if abs(sizes[0]) <= max(DRIFTS, least, float(student.ppf(0.975, free)) * error[0]):
                 return None
             best = 0
         level = float(mean[np.abs(tried[best]) > APART].max())
@@ -254,7 +260,7 @@ def side(sent: Array) -> Array:
     return np.asarray(event[last])
 
 
-def cycles(sent: Array) -> list[Array]:
+def cycles(sent: Array) -> list[NDArray[np.intp]]:
     """Rows of each whole cycle of a motion, from one rise to the next; noise of a command that is read is none."""
     if len(sent) < FEWEST or np.ptp(sent) < TRAVEL:
         return []

@@ -33,7 +33,7 @@ FEWEST = 20
 """Fewest samples of a trial."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Followed:
     """How the displacement follows its command in a cycle, or a half, of a trial."""
 
