@@ -12,6 +12,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pmabench.analysis.shared.changes import Rows
+from pmabench.analysis.shared.followed import followed
 from pmabench.kinds.reduce import reduce_runs
 from pmabench.store.analyses.results import Analysis, Estimate
 from pmabench.store.records import Command, RunData, TrialData
@@ -246,3 +248,46 @@ def test_good_lengths_stay_as_sharp_as_they_are():
     assert not wrong(analysis, length)
     assert not doubts(analysis, "changed")
     assert max(e.parts.combined or 0.0 for e in analysis.estimates if e.symbol == "L" and not e.coordinate) < 0.3e-3
+
+
+def test_what_the_speed_makes_of_the_force_is_no_change():
+    """Trials of one speed after the other at each pressure, whose force rises with the speed, bent, as with damping."""
+    speeds = np.repeat([2.0, 9.0, 23.0, 46.0, 138.0], 5)
+    rows = [(cell, 100.0 * cell + n, 500.0 * (cell + 1) * (1 + 6e-4 * v - 1e-6 * v * v), v)
+            for cell in (0.0, 1.0) for n, v in enumerate(speeds)]  # fmt: skip
+    good = Rows(*np.array(rows).T)
+    assert good.change() is None
+    later = Rows(good.cell, good.t, good.value * np.where(good.t > 107.0, 1.04, 1.0), good.rate)
+    found = later.change()
+    assert found is not None
+    assert found.time == pytest.approx(108.0)
+    assert found.size == pytest.approx(0.04, rel=0.3)
+
+
+def holds(alter: Alter) -> RunData:
+    """Rests of the drive at four places, twice."""
+    random, trials = np.random.default_rng(6), list[TrialData]()
+    for place in (0.0, 0.01, 0.02, 0.03) * 2:
+        t = 100.0 * len(trials) + np.arange(0.0, 50.0, 0.1)
+        channels = {
+            "displacement": place + 2e-6 * random.standard_normal(len(t)),
+            "displacement_command": np.full(len(t), place),
+        }
+        made = {name: alter(name, t, y) for name, y in channels.items()}
+        flags = np.zeros(len(t), np.uint16)
+        trials.append(
+            TrialData("lab", len(trials), {"contraction": place}, 0, False, "finished", t, made, flags, (), {})
+        )
+    return as_run("relaxation", trials, 10.0, {})
+
+
+def test_rests_of_a_drive_show_a_slip_but_a_constant_scale_is_a_difference_only():
+    assert followed(holds(good)) is None
+    slipped = followed(holds(changed("displacement", 420.0, 0.0, 1e-3)))
+    assert slipped is not None
+    assert (slipped.gain, slipped.offset) == (0.0, pytest.approx(1e-3, rel=0.01))
+    assert "from 420 s on, in trial 5" in slipped.text
+    scaled = followed(holds(changed("displacement", 0.0, 0.04)))
+    assert scaled is not None
+    assert (scaled.gain, scaled.offset) == (0.0, 0.0)
+    assert "+4.0% of the way" in scaled.text
