@@ -58,7 +58,7 @@ SLOW = 140
 """Of the slow tests over a wire every commit takes one in so many, whatever its rig: together they take half an hour."""
 IN_REAL_TIME = re.compile(r"^pytestmark = .*\brealtime\b", re.MULTILINE)
 """A file whose tests all wait in real time."""
-LONGEST = "tests/test_pages.py"
+LONGEST = ("tests/test_pages.py", "tests/cli/test_process_json.py")
 CHOSEN = (*RIGS, *OF_ALL_RIGS, CONFORMANCE, "tests/outside/test_faults.py")
 
 
@@ -152,7 +152,7 @@ def pytest_collection_modifyitems(config, items):
     left_out |= {item for item in items if item.get_closest_marker("study")}
     config.hook.pytest_deselected(items=list(left_out))
     items[:] = [item for item in items if item not in left_out]
-    items.sort(key=lambda item: LONGEST not in item.nodeid)  # the longest begin first, others fill the rest
+    items.sort(key=lambda item: not item.nodeid.startswith(LONGEST))  # the longest begin first, others fill the rest
 
 
 def pytest_collection_finish():

@@ -104,6 +104,8 @@ class Kind:
     """`module:function`: (run, trial) -> the value for comparing repeats; None or `NotUsable` without one."""
     repeated_is: str = ""
     """Name of that value: `stiffness`."""
+    drifts: str = ""
+    """Channel to whose scale its values are proportional, if the reduction does not itself weigh a change of it."""
     word: str = ""
     """Its name in a comparison of tests, `sine`; the same for two reductions of the same runs."""
     offers: str = ""

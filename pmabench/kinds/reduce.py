@@ -5,10 +5,13 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from math import hypot
 from typing import Any
 
 from pmabench.analysis.imported import in_time, without_doubtful
+from pmabench.analysis.shared.changes import Change, of_forces, of_values, with_changes
+from pmabench.analysis.shared.followed import followed
 from pmabench.analysis.shared.samples import with_motion
 from pmabench.analysis.shared.signals import without_spikes
 from pmabench.analysis.shared.trials import grouped, session_of, six_digits
@@ -16,9 +19,9 @@ from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.analysis.verdict.acceptance import not_accepted, not_accepted_as_form
 from pmabench.analysis.verdict.agreement import KIND as AGREEMENT
 from pmabench.analysis.verdict.agreement import Offer, agreement, offers_of, side_by_side, without_diameter
-from pmabench.analysis.verdict.checks import with_checks, with_record, with_sessions
+from pmabench.analysis.verdict.checks import repeats_of, with_checks, with_record, with_sessions
 from pmabench.base.errors import UsageError, did_you_mean, invalid
-from pmabench.base.kind import load
+from pmabench.base.kind import Kind, load
 from pmabench.base.quantities import show
 from pmabench.base.text import clean
 from pmabench.kinds import registry
@@ -140,7 +143,21 @@ def _reduced(kind: str, runs: Sequence[RunData], options: Mapping[str, Any] | No
     count = max((side_by_side(run.manifest.get("specimen")) for run in runs), default=1)
     analysis = without_diameter(analysis, count)
     analysis = with_motion(with_checks(analysis, record, runs), runs, record.moves)
+    analysis = with_changes(
+        analysis, runs, lambda others: record.part("reduction")(others, options), partial(_changes, record)
+    )
     return with_record(without_doubtful(analysis, runs), runs)
+
+
+def _changes(kind: Kind, run: RunData) -> list[Sequence[Change]]:
+    """Changes of a sensor within a run, each with all that it may be."""
+    found: list[Sequence[Change]] = [[change] for change in [followed(run)] if change]
+    if kind.drifts == "force":
+        found += of_forces(run)
+    seen = any(one.gain or one.offset for changes in found for one in changes)
+    if kind.drifts and not seen and (repeats := repeats_of(kind, [run])):
+        found += of_values(run, kind.drifts, kind.repeated_is, (repeats.cell, repeats.t, repeats.value))
+    return found
 
 
 def of_one_trial(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
@@ -155,7 +172,8 @@ def of_one_trial(run: RunData, trial: TrialData, expected: Expected | None, quic
     withheld = [e for e in analysis.estimates if e.withheld and e not in shown]
     reasons = [one.reason for one in analysis.dropped]
     reasons += [e.note for e in shown if e.value is None] + [f"{e.symbol}: {e.note}" for e in withheld]
-    halves = [[half for half in vars(e.parts).values() if half] for e in shown]
+    own = [vars(replace(e.parts, calibration=None)) for e in shown]  # repeats share the calibration
+    halves = [[half for half in parts.values() if half] for parts in own]
     found = [Measured(e.symbol, e.quantity, e.value, noise=hypot(*half)) for e, half in zip(shown, halves, strict=True)]
     return found, reasons
 

@@ -141,6 +141,16 @@ def test_creep_a_wrong_zero_and_a_wrong_sign_are_reported(both):
     assert value(turned, "P_half").value is None
 
 
+def test_no_sigmoid_is_fitted_to_lengths_that_none_comes_near(both):
+    """Contractions that rise and fall from one pressure to the next."""
+    places = sorted({trial.point["pressure"] for trial in both.trials})
+    share = {P: (0.2, 1.0)[number % 2] for number, P in enumerate(places)}
+    found = reduce([changed(both, lambda trial, x: share[trial.point["pressure"]] * x)])
+    assert value(found, "L", "a").value is None
+    assert value(found, "L", "a").note == "no fit: no sigmoid comes near these lengths"
+    assert value(found, "L", pressure=1e5).value is not None
+
+
 def test_what_cannot_be_used_is_dropped_with_its_reason(both):
     first, second, third, fourth, *rest = both.trials
     lacking = {name: values for name, values in third.channels.items() if name != "displacement"}

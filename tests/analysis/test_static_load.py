@@ -77,6 +77,21 @@ def test_loads_that_are_not_what_is_marked_on_them_are_in_the_intervals(gain: fl
     assert not any("than the marks of the loads" in f.text for f in study("bench")[1].findings)
 
 
+def test_a_cell_within_what_is_known_of_it_raises_no_doubt_and_lost_samples_hide_none():
+    """A zero 0.7 N off where no offset is declared; one sample that is no number, not flagged."""
+    run = study("bench")[0]
+    forces = [t.channels["force"] + 0.7 for t in run.trials]
+    near = [replace(t, channels={**t.channels, "force": F}) for t, F in zip(run.trials, forces, strict=True)]
+    plain = {name: replace(info, offset_uncertainty=0.0) for name, info in run.channels.items()}
+    assert not any("marks" in f.text for f in reduce([replace(run, trials=tuple(near), channels=plain)]).findings)
+    lost = []
+    for t in run.trials:
+        F = 1.06 * t.channels["force"]
+        F[len(F) // 2] = np.nan
+        lost.append(replace(t, channels={**t.channels, "force": F}))
+    assert any("6.0% more than the marks" in f.text for f in reduce([replace(run, trials=tuple(lost))]).findings)
+
+
 def test_half_the_difference_lies_between_sliding_and_static_friction():
     _, analysis = study("bench")
     half = [e for e in analysis.estimates if e.symbol == "F_f"]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pmabench.analysis.shared.samples import dead_times, onset
-from pmabench.kinds.contraction_relaxation.exponentials import exponential, regress, stiffness
+from pmabench.kinds.contraction_relaxation.exponentials import exponentials, regress, stiffness
 from pmabench.kinds.contraction_relaxation.values import curve, polynomial
 from pmabench.store.analyses.results import Estimate, Parts
 
@@ -20,7 +20,7 @@ def rise(tau: float, t_d: float, start: float = 0.0, end: float = 0.04) -> np.nd
 @pytest.mark.parametrize(("start", "end"), [(0.0, 0.04), (0.05, 0.03)])
 def test_exponential_with_free_delay(start: float, end: float):
     x = rise(0.25, 0.04, start, end) + 10e-6 * np.random.default_rng(1).standard_normal(len(T))
-    found = exponential(T, x, start)
+    (found,) = exponentials(T[None], x[None], np.array([[start]]))
     assert found.end == pytest.approx(end, abs=2e-6)
     assert found.tau == pytest.approx(0.25, rel=2e-3)
     assert found.t_d == pytest.approx(0.04, abs=1e-3)

@@ -1,6 +1,6 @@
 """An archive of runs beside a bare loop that reads the same Parquet files and makes the same fits; `make bench`.
 
-2,000 runs of 5,000 samples and 6 channels (`ARCHIVE_RUNS` sets another number, for instance 10000); six in the ordinary
+2,000 runs of 5,000 samples and 6 channels (`ARCHIVE_RUNS` sets another number, for instance 10000); four in the ordinary
 suite, where nothing is asserted of time. Processor time is compared, for the machine does other things too. Two
 processes are held against one by the processor time that comes one after the other, all of this process and half that
 of the workers, and by the wall clock only where the machine is idle.
@@ -24,7 +24,7 @@ from pmabench.store.catalogue import tasks_below
 from tests.benchmarks.archive import AT, LATE, SCALES, write_run
 
 RUNS = int(os.environ.get("ARCHIVE_RUNS", "2000"))
-FEW = 6
+FEW = 4
 OVERHEAD, TWO, AGAIN = 1.3, 1.7, 20.0
 GROWTH = 20e3
 """Bytes of memory that each further run may cost: what came out of it is kept until the table is written."""

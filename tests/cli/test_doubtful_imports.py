@@ -3,11 +3,9 @@
 import json
 
 import numpy as np
-import pytest
 
 from pmabench.kinds.reduce import verdicts
 from pmabench.store.analyses.results import Analysis, Estimate, Parts, withhold
-from pmabench.store.importers import apart
 from tests.calls import call
 from tests.store.plausible_files import damaged, isometric
 
@@ -26,12 +24,6 @@ trials: {by: file, point: {contraction: 0 mm}}
 specimen: {type: muscle, serial: "1", nominal_length: 300 mm}
 analysis: {force_above: 20 N}
 """
-
-
-@pytest.fixture(autouse=True, scope="module")
-def no_child_stays():
-    yield
-    apart.close_readers()
 
 
 def processed(folder, files, more="", code=0):

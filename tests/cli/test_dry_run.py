@@ -14,7 +14,9 @@ from tests.analysis.simulate import rig
 ROOT = Path(__file__).resolve().parents[2]
 OF = ["--specimen", "mas-20-250-paper0"]
 FIVE = ["labjack", "ni", "serial", "wires", "alicat"]
-SHORT = ["--set", "sweep.repeat.count=1", "--set", "sweep.matrix.load=[6 kg, 26 kg]"]
+SHORT = [
+    "--set", "sweep.repeat.count=1", "--set", "sweep.matrix.load=[6 kg]", "--set", "sweep.matrix.pressure=[200 kPa, 500 kPa]",
+]  # fmt: skip
 
 
 def check(*words, code=0):
@@ -94,7 +96,8 @@ def test_intervals_of_the_plan_are_predicted_and_more_trials_make_them_narrower(
     """Where trials scatter alike, four repeats halve what one repeat leaves open."""
     halves = []
     for count in (1, 4):
-        sweep = ["--set", "sweep.matrix.load=[6 kg, 11 kg, 16 kg]", "--set", f"sweep.repeat.count={count}"]
+        sweep = ["--set", "sweep.matrix.load=[6 kg, 11 kg, 16 kg]", "--set", "sweep.matrix.pressure=[300 kPa, 400 kPa]"]
+        sweep += ["--set", f"sweep.repeat.count={count}"]
         reported = json.loads(
             check("contraction-relaxation", "--bench", "labjack", *OF, *sweep, "--simulate", "--json").stdout
         )

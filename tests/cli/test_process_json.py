@@ -29,21 +29,31 @@ RUNS = {
     "static-load": ("mock-ideal", *WEIGHTS, "--set", "sweep.matrix.load=[6 kg, 26 kg]", "--set", "sweep.repeat.count=1"),
     "contraction-relaxation": (
         "mock-ideal", *WEIGHTS, "--set", "sweep.matrix.load=[6 kg, 16 kg]", "--set", "sweep.repeat.count=1",
-        "--set", "sweep.matrix.pressure=[300 kPa, 400 kPa]",
+        "--set", "sweep.matrix.pressure=[400 kPa]",
     ),
     "contraction-relaxation-paper1": (
         "mock-dmsp-ideal", "--specimen", "dmsp-40-305", "--set", "sweep.matrix.pressure=[2 bar, 3 bar, 4 bar]",
     ),
-    "sinusoidal-displacement": ("mock-actuator", *WEIGHTS, "--set", "sweep.repeat.count=1"),
-    "ultimate-gain-open-loop": ("mock-linear", *WEIGHTS),
-    "ultimate-gain-relay": ("mock-linear", *WEIGHTS, "--set", "sweep.repeat.count=1"),
+    "sinusoidal-displacement": (
+        "mock-actuator", *WEIGHTS, "--set", "sweep.repeat.count=1", "--set", "sweep.matrix.frequency=[0.5 Hz, 3 Hz]",
+    ),
+    "ultimate-gain-open-loop": ("mock-linear", *WEIGHTS, "--set", "sample_rate=200 Hz", "--set", "trial.open_loop.cycles=3"),
+    "ultimate-gain-relay": (
+        "mock-linear", *WEIGHTS, "--set", "sweep.repeat.count=1", "--set", "trial.relay.periods=8",
+    ),
     "isobaric-ramp": ("mock-daerden", *DRIVEN, "--set", "sweep.matrix.pressure=[300 kPa]"),
-    "step-displacement": ("mock-daerden", *DRIVEN, "--set", "sweep.matrix.step=[5 mm]"),
+    "step-displacement": (
+        "mock-daerden", *DRIVEN, "--set", "sweep.matrix.step=[5 mm]", "--set", "sweep.matrix.pressure=[4 bar]",
+        "--set", "trial.cycles=2",
+    ),
     "relaxation": (
         "mock-daerden-relaxing", *DRIVEN, "--set", "sweep.matrix.pressure=[5 bar]", "--set", "trial.hold=60 s",
         "--set", "trial.rest=60 s",
     ),
-    "positioning-pi": ("mock-ideal", *WEIGHTS, "--set", "sweep.matrix.setpoint=[20 mm]"),
+    "positioning-pi": (
+        "mock-ideal", *WEIGHTS, "--set", "sweep.matrix.setpoint=[20 mm]", "--set", "trial.hold=15 s",
+        "--set", "trial.window=[10 s, 15 s]",
+    ),
     "validation": (
         "mock-ideal", *WEIGHTS, "--set", "model.coefficients=paper0 ideal", "--set", "sweep.matrix.pressure=[300 kPa]",
     ),
@@ -62,11 +72,12 @@ RUNS = {
     ),
     "platform": (
         "mock-platform", "--specimen", "platform-daerden", "--set", "sweep.repeat.count=1",
-        "--set", "sweep.zip.phi=[10 deg]", "--set", "sweep.zip.psi=[0 deg]",
+        "--set", "sweep.zip.phi=[10 deg]", "--set", "sweep.zip.psi=[0 deg]", "--set", "trial.hold=2 s",
     ),
     "joint-step": (
         "mock-joint-free", "--specimen", "joint-daerden", "--set", "sweep.repeat.count=1",
         "--set", "sweep.zip.goal=[10 deg]", "--set", "sweep.zip.integral=[20 N.m/rad/s]",
+        "--set", "trial.approach=[8 deg, -4 deg]",
     ),
     "joint-torque": (
         "mock-joint", "--specimen", "joint-daerden", "--set", "sweep.matrix.pressure_1=[300 kPa]",

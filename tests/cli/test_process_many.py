@@ -17,7 +17,7 @@ from tests.benchmarks.archive import stiffness_and_damping, write_run
 from tests.calls import call
 from tests.store.runs import closed
 
-RUNS = 4
+RUNS = 3
 
 
 def files_of(folder):

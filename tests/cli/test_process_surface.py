@@ -65,11 +65,16 @@ def process(*arguments):
     return CliRunner().invoke(main, ["process", *arguments])
 
 
-def test_a_campaign_becomes_one_muscle(runs):
+@pytest.fixture(scope="module")
+def together(runs):
+    """What `process` makes of all runs."""
     result = process(*runs, "--form", "surface", "--json")
     assert result.exit_code == 0, result.output
-    data = json.loads(result.stdout)
-    (analysis,) = data["analyses"]
+    return json.loads(result.stdout)
+
+
+def test_a_campaign_becomes_one_muscle(runs, together):
+    (analysis,) = together["analyses"]
     assert analysis["runs"] == [Path(run).name for run in runs]
     points = {
         symbol: [e for e in analysis["estimates"] if e["symbol"] == symbol and e["value"] is not None]
@@ -88,7 +93,7 @@ def test_a_campaign_becomes_one_muscle(runs):
     said = " ".join(finding["text"] for finding in analysis["findings"])
     assert "trials that were left out are predicted to" in said
     assert "by straight lines over contraction to" in said
-    (folder,) = data["folders"]
+    (folder,) = together["folders"]
     assert Path(folder).parent.name == f"{Path(runs[0]).name}-surface"
     page = Path(folder).parent / "page.html"
     shown = CliRunner().invoke(main, ["report", folder, "-o", str(page)])
@@ -96,10 +101,9 @@ def test_a_campaign_becomes_one_muscle(runs):
     assert "Muscle as a surface" in page.read_text()
 
 
-def test_what_the_scales_may_be_off_is_in_the_intervals(runs, tmp_path):
+def test_what_the_scales_may_be_off_is_in_the_intervals(runs, together):
     """By the closed form: gain and zero of the force cell, and the place and the pressure for which a value is given."""
-    result = process(*runs, "--form", "surface", "--json", "--out", str(tmp_path / "found"))
-    (analysis,) = json.loads(result.stdout)["analyses"]
+    (analysis,) = together["analyses"]
     channels = open_run(Path(runs[0])).channels
     compared = 0
     for symbol, of, power in (("F", force, 0), ("K", stiffness, -1)):

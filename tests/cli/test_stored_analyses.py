@@ -16,19 +16,19 @@ from tests.calls import call
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
-    """A run."""
+    """A run, processed."""
     lab = tmp_path_factory.mktemp("lab")
     write_run(lab / "runs", 1)
+    call("process", the_run(lab))
     return lab
 
 
 @pytest.fixture
 def lab(recorded, tmp_path):
-    """A copy that may be changed, processed where it is."""
+    """A copy that may be changed."""
     shutil.copytree(recorded, tmp_path, dirs_exist_ok=True)
     for path in (tmp_path / "runs").rglob("*"):
         path.chmod(0o755 if path.is_dir() else 0o644)
-    call("process", the_run(tmp_path))
     return tmp_path
 
 

@@ -105,7 +105,7 @@ def test_each_choice_follows_from_the_record_before_it(whole: Path) -> None:
     follow_from_the_record(runs, [0, 5, 9, 13, len(changes(runs)) - 1])
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.study)])
 def test_a_run_that_was_ended_anywhere_goes_on_as_its_record_says(
     seed: int, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

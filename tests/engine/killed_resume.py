@@ -11,6 +11,7 @@ import json
 import os
 import signal
 import sys
+from importlib import import_module
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -27,6 +28,8 @@ SETTINGS = (
 
 
 _FEW = (("prepare.precondition.cycles", "1"), ("sample_rate", "50 Hz"))
+ONCE = ("pmabench.engine.resume", "pmabench.engine.run", "pmabench_drivers.mock", "pyarrow.parquet", "scipy.integrate")
+"""What every child needs."""
 KINDS = {
     "contraction-relaxation": ("mock", "mas-20-250-paper0", SETTINGS),
     "ultimate-gain-relay": (
@@ -63,6 +66,8 @@ def main() -> None:
     """Make chains of killed runs."""
     from pmabench.cli.prepare import prepare
 
+    for name in ONCE:
+        import_module(name)
     out, kills, seed = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
     out.mkdir(parents=True)
     kind = sys.argv[4] if len(sys.argv) > 4 else "contraction-relaxation"

@@ -21,7 +21,8 @@ def run(tmp_path, monkeypatch):
 
     monkeypatch.setattr(Commander, "set", slowly)
     call("run", "contraction-relaxation", "--bench", "mock-ideal", "--specimen", "mas-20-250-paper0", "--yes", "-q",
-         "--out", tmp_path, "--set", "sweep.repeat.count=1")  # fmt: skip
+         "--out", tmp_path, "--set", "sweep.repeat.count=1", "--set", "sweep.matrix.load=[6 kg]",
+         "--set", "sweep.matrix.pressure=[200 kPa, 500 kPa]")  # fmt: skip
     (folder,) = tmp_path.iterdir()
     return open_run(folder)
 

@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pmabench.engine.source import Spacing
@@ -50,6 +50,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("name", CASES)
+@settings(max_examples=30)
 @given(cuts=st.lists(st.integers(0, 6), max_size=6))
 def test_each_sample_has_the_flag_that_is_true(name, cuts):
     periods, reported = CASES[name]

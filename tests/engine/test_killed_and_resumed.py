@@ -17,7 +17,7 @@ from tests.engine.killed_resume import KINDS, SETTINGS
 from tests.reliability.cases import cases
 
 ROOT = Path(__file__).resolve().parents[2]
-KILLS = 10
+KILLS = 6
 pytestmark = pytest.mark.slow
 
 

@@ -27,7 +27,7 @@ BENCHES = {
     "free-contraction": ("mock-contractor-free", "contractor-30"),
     "arm-angle": ("mock-arm", "arm-30"),
 }
-EXAMPLES = settings(max_examples=30)
+EXAMPLES = settings(max_examples=12)
 
 
 @cache

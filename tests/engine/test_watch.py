@@ -8,7 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pmabench.bench.interface import ChannelRecord, Scale, TripRecord
@@ -85,6 +85,7 @@ def in_one_piece(name):
 
 
 @pytest.mark.parametrize("name", CASES)
+@settings(max_examples=25)
 @given(cuts=st.lists(st.integers(0, len(T)), max_size=12))
 def test_blocks_do_not_matter(name, cuts):
     trip, samples, commanded, _ = CASES[name]
@@ -128,6 +129,7 @@ QUIET = {
 
 
 @pytest.mark.parametrize("name", QUIET)
+@settings(max_examples=25)
 @given(cuts=st.lists(st.integers(0, len(T)), max_size=6))
 def test_what_is_inside_does_not_trip(name, cuts):
     trip, samples, commanded = QUIET[name]

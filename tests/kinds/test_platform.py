@@ -73,10 +73,9 @@ def asked_of_ten_degrees(seed, folder):
     return settled, beyond, end, found
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-def test_ten_degrees(seed, tmp_path):
+def test_ten_degrees(tmp_path):
     """What the reduction makes of accelerations agrees with where the platform really was."""
-    settled, beyond, end, found = asked_of_ten_degrees(seed, tmp_path)
+    settled, beyond, end, found = asked_of_ten_degrees(1, tmp_path)
     assert found["t_1"] == pytest.approx(settled, abs=0.03)
     assert found["OS_q"] / DEG == pytest.approx(beyond, abs=0.15)
     assert found["e_q"] / DEG == pytest.approx(end, abs=0.06)

@@ -11,15 +11,8 @@ from click.testing import CliRunner
 from scipy.signal import lfilter
 
 from pmabench.cli.main import main
-from pmabench.store.importers import apart
 from pmabench.store.importers.commands import changes
 from pmabench.store.importers.motion import levels
-
-
-@pytest.fixture(autouse=True, scope="module")
-def no_child_stays():
-    yield
-    apart.close_readers()
 
 
 def ramps(cycles=4, speed=1.0, stroke=20.0, rate=50.0):

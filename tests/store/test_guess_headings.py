@@ -9,7 +9,6 @@ import pytest
 from pmabench.base.errors import InvalidFile
 from pmabench.files.document import Document
 from pmabench.kinds.recorded_sine.reduction import reduce
-from pmabench.store.importers import apart
 from pmabench.store.importers.guess.columns import split_factor, value_of
 from pmabench.store.importers.guess.write import map_text
 from pmabench.store.importers.map_file import questions_of
@@ -21,12 +20,6 @@ NOISE = np.random.default_rng(5).standard_normal((3, len(T)))
 P = 500.0 * np.clip(T / 10, 0, 1) * np.clip((20 - T) / 10, 0, 1) + 0.2 * NOISE[0]
 F = 1.2 * P + 5.0 + NOISE[1]
 PLAIN = {"t [s]": T, "P [kPa]": P, "F [N]": F}
-
-
-@pytest.fixture(autouse=True, scope="module")
-def no_child_stays():
-    yield
-    apart.close_readers()
 
 
 def file(folder, columns, below=()):

@@ -43,12 +43,6 @@ COLUMNS = {
 }
 
 
-@pytest.fixture(autouse=True, scope="module")
-def no_child_stays():
-    yield
-    apart.close_readers()
-
-
 def read(kind, content, wanted=None):
     question = {"layout": {"format": kind}, "wanted": wanted, "optional": [], "ignored": []}
     (answer,) = read_apart(kind, "old", [content], question)

@@ -38,12 +38,6 @@ SOURCES = {
 SIGNS = [b",", b"\t", b"\n", b".", b"-", b"e", b"9", b"0", b"1", b"5", b" ", b"nan", b"\0", b"\xff", b";"]
 
 
-@pytest.fixture(autouse=True, scope="module")
-def no_child_stays():
-    yield
-    apart.close_readers()
-
-
 def mutated(content, rng):
     """One to three places changed, cut out, put in or doubled; sometimes the end is missing."""
     data = bytearray(content)

@@ -11,7 +11,6 @@ from pmabench.base.errors import InvalidFile
 from pmabench.base.text import sparkline
 from pmabench.cli.main import main
 from pmabench.files.document import read_document
-from pmabench.store.importers import apart
 from pmabench.store.importers.guess.columns import unit_in
 from pmabench.store.importers.guess.layout import guess_layout
 from pmabench.store.importers.guess.signs import sine_of
@@ -36,12 +35,6 @@ ENDS = {
     "columns.Piezo_out_(mV).points.1.1": "6 bar",
     "columns.V_dist_(mA).points.1.1": "101.6 mm",
 }
-
-
-@pytest.fixture(autouse=True, scope="module")
-def no_child_stays():
-    yield
-    apart.close_readers()
 
 
 def roles(guess):

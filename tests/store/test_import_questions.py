@@ -11,7 +11,6 @@ from pmabench.base.errors import InvalidFile
 from pmabench.cli.main import main
 from pmabench.files.document import Document
 from pmabench.kinds.registry import importable
-from pmabench.store.importers import apart
 from pmabench.store.importers.guess.columns import Proposal, choose, unit_in, words
 from pmabench.store.importers.guess.write import map_text
 from pmabench.store.importers.map_file import questions_of
@@ -25,12 +24,6 @@ NOISE = np.random.default_rng(3).standard_normal((3, len(T)))
 P = RISE + 0.2 * NOISE[0]
 F = 1.2 * P + 5.0 + NOISE[1]
 """A straight line from the first kPa on: no threshold changes its slope."""
-
-
-@pytest.fixture(autouse=True, scope="module")
-def no_child_stays():
-    yield
-    apart.close_readers()
 
 
 def file(path, columns, digits=4):

@@ -6,18 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pmabench.store.importers import apart
 from pmabench.store.reader import open_run
 from tests.importing import import_files
 from tests.recorded import recorded_data
 
 MAPS = Path(__file__).resolve().parents[2] / "fixtures" / "maps"
-
-
-@pytest.fixture(autouse=True, scope="module")
-def no_child_stays():
-    yield
-    apart.close_readers()
 
 
 def found(pattern, map_name, out):

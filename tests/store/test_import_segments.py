@@ -10,7 +10,7 @@ from pmabench.kinds.isometric.reduction import reduce as isometric
 from pmabench.kinds.isometric_pressurisation.reduction import reduce as isometric_pressurisation
 from pmabench.kinds.recorded_sine.reduction import reduce as sines
 from pmabench.kinds.recorded_step.reduction import reduce as steps
-from pmabench.store.importers import apart, motion
+from pmabench.store.importers import motion
 from pmabench.store.importers.commands import alike
 from pmabench.store.importers.guess.write import map_text
 from pmabench.store.reader import open_run
@@ -31,12 +31,6 @@ trials: {trials}
 specimen: {{type: muscle}}
 """
 DISPLACEMENT = "x: {is: displacement, unit: mm}"
-
-
-@pytest.fixture(autouse=True, scope="module")
-def no_child_stays():
-    yield
-    apart.close_readers()
 
 
 def noise(n, size, seed=1):

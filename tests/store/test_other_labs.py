@@ -12,16 +12,9 @@ import pytest
 from click.testing import CliRunner
 
 from pmabench.cli.main import main
-from pmabench.store.importers import apart
 from pmabench.store.reader import open_run
 
 F_C, G = 8.0, 9.81
-
-
-@pytest.fixture(autouse=True, scope="module")
-def no_child_stays():
-    yield
-    apart.close_readers()
 
 
 def force(P, x):

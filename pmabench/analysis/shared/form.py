@@ -25,7 +25,9 @@ NEGLIGIBLE = 0.05
 OFF = 0.02
 """Share of a set pressure by which the measured one may be off it without a doubt; intervals hold it anyway."""
 STEEPER = 1.5
-"""Factor by which a value may change more with the pressure than to the nearest other pressure, or in proportion."""
+"""Factor by which a value may change more with the pressure than to the nearest other pressure."""
+GUESSED = 2.0
+"""Factor on value over pressure where one pressure was tested: a muscle has force only above some pressure."""
 SURE = 0.9995
 """Probability of Student's t above which a change from cycle to cycle is significant."""
 NAMES = {
@@ -88,10 +90,11 @@ def weighed(e: Estimate, doubts: Iterable[Doubt], scale: float | None = None) ->
 def off_command(off: float, pressure: float, value: float, over_P: float | None) -> float:
     """Possible error of a value that is given for a set `pressure` from which the measured one is `off` [Pa].
 
-    `over_P` is its derivative by pressure [per Pa]; proportional where that is unknown.
+    `over_P` is its derivative by pressure [per Pa]; where that is unknown, a multiple of value over pressure.
     """
-    slope = over_P if over_P is not None else value / pressure if pressure > 0 else 0.0
-    return STEEPER * abs(off * slope) if isfinite(off) else 0.0
+    if not isfinite(off) or pressure <= 0:
+        return 0.0
+    return abs(off) * (STEEPER * abs(over_P) if over_P is not None else GUESSED * abs(value) / pressure)
 
 
 def off_command_findings(where: str, off: float, pressure: float) -> list[Finding]:

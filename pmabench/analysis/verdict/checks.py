@@ -167,8 +167,15 @@ class Repeats:
 
 def trial_checks(kind: Kind, runs: Sequence[RunData]) -> list[Check]:
     """Checks of repeat spread, first-repeat effect and drift; empty for kinds of test without a value per trial."""
+    repeats = repeats_of(kind, runs)
+    every = () if repeats is None else (spread(repeats), first_repeat(repeats), drift(repeats))
+    return [check for check in every if check is not None]
+
+
+def repeats_of(kind: Kind, runs: Sequence[RunData]) -> Repeats | None:
+    """The value of each trial of a repeated operating point; None for kinds without one, and below two values."""
     if not kind.repeated:
-        return []
+        return None
     value_of = kind.part("repeated")
     begun, values = 0.0, list[tuple[Point, RunData, TrialData, float]]()
     for run in in_time(runs):
@@ -188,12 +195,11 @@ def trial_checks(kind: Kind, runs: Sequence[RunData]) -> list[Check]:
     largest = max((row[3] for row in rows), default=0.0)
     rows = [row for row in rows if row[3] > LEAST * largest]
     if len(rows) < 2:
-        return []
+        return None
     numbers = {point: number for number, point in enumerate(dict.fromkeys(row[0] for row in rows))}
     cell = np.array([numbers[row[0]] for row in rows], dtype=np.float64)
     columns = (np.array([row[i] for row in rows], dtype=np.float64) for i in (1, 2, 3))
-    repeats = Repeats(kind.repeated_is, cell, *columns)
-    return [check for check in (spread(repeats), first_repeat(repeats), drift(repeats)) if check is not None]
+    return Repeats(kind.repeated_is, cell, *columns)
 
 
 def spread(r: Repeats) -> Check | None:

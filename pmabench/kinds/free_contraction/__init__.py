@@ -37,6 +37,7 @@ KIND = Kind(
     moves="displacement",
     repeated="pmabench.kinds.free_contraction.reduction:contraction_of",
     repeated_is="contraction",
+    drifts="displacement",
     word="free contraction",
     offers="pmabench.kinds.free_contraction.reduction:offers",
     methods=METHODS,

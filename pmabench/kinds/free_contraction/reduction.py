@@ -80,6 +80,9 @@ BENT = 0.5
 """Effect of pressure noise, in standard deviations of a contraction, below which no separate fit is made."""
 BETWEEN = 0.25
 """Possible error of a curve through points between two pressures, as a share of their difference."""
+MOST_LEFT = 0.5
+"""Residual of the sigmoid, as a share of the scatter of the lengths, from which no sigmoid is near them."""
+NONE_NEAR = "no fit: no sigmoid comes near these lengths"
 FINE = 2001
 """Points of a curve on which a pressure is looked up."""
 
@@ -204,7 +207,9 @@ def _fit(
         try:
             fit, fitted = through(length - x - off, start=start, profiles=False), x
         except ValueError:
-            return None, "no fit: no sigmoid comes near these lengths"
+            return None, NONE_NEAR
+        if not fit.residual_rms <= MOST_LEFT * np.std(x):
+            return None, NONE_NEAR
         start, shape = fit.values, sigmoid(fit)
         x = np.array([point.at(point.pressure, shape).x for point in points])
         if np.abs(x - fitted).max() < SETTLED:

@@ -62,6 +62,7 @@ KIND = Kind(
     moves="displacement",
     repeated="pmabench.analysis.shared.ramp_loop:stiffness_of",
     repeated_is="stiffness",
+    drifts="force",
     word="isobaric",
     offers="pmabench.kinds.isobaric_ramp.reduction:offers",
     instead="an isobaric ramp (isobaric-ramp) measures the curve itself",

@@ -100,9 +100,11 @@ class Cell:
 
     @cached_property
     def off(self) -> float:
-        """Mean measured pressure minus the set one [Pa]; 0 where it is not recorded."""
+        """Measured pressure minus the set one [Pa]: the largest of a trial or at speed 0; 0 if it is not recorded."""
         known = [m.loop.pressure for m in self.members if isfinite(m.loop.pressure)]
-        return float(np.mean(known)) - self.pressure if known else 0.0
+        if len(known) == len(self.members):
+            known.append(self.over_speed(lambda loop: np.full(len(loop.middle_gap), loop.pressure)).start)
+        return max((one - self.pressure for one in known), key=abs, default=0.0)
 
     @property
     def middle(self) -> float:
@@ -246,9 +248,14 @@ class Cell:
         """Calibration part of a value whose derivative by the nominal pressure is `over_P` [per Pa]."""
         return scales.part_at(self.pressure, over_P if self.pressure > 0 else None, gains, offsets)
 
-    def off_command(self, value: float, over_P: float | None) -> float:
-        """Possible error of a value that is given for the set pressure; proportional where `over_P` is unknown."""
-        return off_command(self.off, self.pressure, value, over_P)
+    def off_command(self, value: float, over_P: float | None, *, force: bool = False) -> float:
+        """Possible error of a value that is given for the set pressure; a `force` changes as much along the stroke."""
+        return off_command(self.off, self.pressure, self.highest if force else value, over_P)
+
+    @property
+    def highest(self) -> float:
+        """Largest force of the mean curve [N]."""
+        return float(np.max(np.abs(self.curve)))
 
     def estimate(
         self, symbol: str, value: float | None, kind: tuple[str, str], method: str, at: Mapping[str, float],

@@ -60,7 +60,7 @@ def of_curve(cell: Cell, scales: Scales, near: Cell | None) -> list[Estimate]:
         part = cell.part(scales, gains, offsets, over_P)
         alone = (AT_SPEED if force else IN_A_RAMP) if cell.one_speed and method in OF_MEAN else ""
         within = abs(cell.gap.start) / 2 if alone and force else 0.0
-        off = cell.off_command(line.start, over_P)
+        off = cell.off_command(line.start, over_P, force=force)
         parts = Parts(line.half_start, hypot(extra, within, off), part, 0.0)
         at = cell.at if method != LOCAL else {**cell.at, "contraction": round(float(place or 0.0), 7)}
         found.append(cell.estimate(symbol, line.start, kind, method, at, parts, sentences(note, alone)))
@@ -144,14 +144,16 @@ def _work(cell: Cell, scales: Scales, K: float, uneven: float, near: Cell | None
             over_P = cell.over_pressure(near, lambda cell, of=of: cell.over_speed(of).start)  # type: ignore[misc]
             offsets = {"force": stroke if symbol == "W_c" else 0.0}
             part = cell.part(scales, dict.fromkeys(by, value), offsets, over_P)
-            parts = Parts(half, hypot(extra, cell.off_command(value, over_P)), part, skewed)
+            off = cell.off_command(cell.highest * stroke if symbol == "W_c" else value, over_P)
+            parts = Parts(half, hypot(extra, off), part, skewed)
             yield cell.estimate(symbol, value, kind, GAP, here, parts, note, len(mine))
         each = [m.loop.given + m.loop.lost for m in mine]
         taken = float(np.mean([np.mean(one) for one in each]))
         if min(float(np.min(one)) for one in each) > 0:  # without pressure it may take up no work
             value, half = mean_of_cycles([m.loop.given / one for m, one in zip(mine, each, strict=True)])
             part = scales.part({}, {"force": stroke * (1 - value) / taken})
-            parts = Parts(half, (uneven * stroke + corners) / taken, part, late * stroke / taken)
+            given = (1 - value) * off / taken  # `off` is that of W_c
+            parts = Parts(half, hypot((uneven * stroke + corners) / taken, given), part, late * stroke / taken)
             said = sentences(note, RECOVERED)
             yield cell.estimate("eta", value, ("1", "ratio"), GAP, here, parts, said, len(mine))
 

@@ -58,6 +58,7 @@ KIND = Kind(
     moves="displacement",
     repeated="pmabench.analysis.shared.sine_loop:stiffness_of",
     repeated_is="stiffness",
+    drifts="force",
     word="sine",
     offers="pmabench.kinds.sinusoidal_displacement.reduction:offers",
     methods=METHODS,

@@ -111,13 +111,17 @@ class Cell:
         return [*found, *mean_force.mean_force_estimates(self.at, fitted, form, self.scales, self.rising)]
 
     def off(self, fitted: Fitted) -> float:
-        """Mean measured pressure minus the set one [Pa]; nan where either is unknown."""
-        return float(np.mean([m.sine.pressure for m in fitted.group])) - self.at.get("pressure", nan)
+        """Measured pressure minus the set one [Pa], the largest of a trial; nan where either is unknown."""
+        known = [m.sine.pressure for m in fitted.group if not np.isnan(m.sine.pressure)]
+        return max((one - self.at.get("pressure", nan) for one in known), key=abs, default=nan)
 
     def off_command(self, e: Estimate, fitted: Fitted) -> float:
         """Possible error of an estimate that is given for the set pressure."""
-        over_P = self.rising if e.symbol in ("F_ce", "F") else getattr(self.slopes, e.symbol, None)
-        return off_command(self.off(fitted), self.at.get("pressure", 0.0), e.value or 0.0, over_P)
+        P = self.at.get("pressure", 0.0)
+        if e.symbol in ("F_ce", "F"):
+            most = max((m.guess * P for m in fitted.group if not np.isnan(m.guess)), default=0.0)
+            return off_command(self.off(fitted), P, most, self.rising)
+        return off_command(self.off(fitted), P, e.value or 0.0, getattr(self.slopes, e.symbol, None))
 
     def of_others(self, group: Sequence[Member]) -> Named:
         """Estimates from changed samples; where their own form withholds one, it is evaluated with the form of the

@@ -27,8 +27,10 @@ VALUES = 8
 """Fewest different pressures in a trial for recognising the step in which they are read."""
 ZEROS, LEAST_ZERO = 6.0, 100.0
 """Readings of the vented gauge differ if they are this many standard errors plus this pressure [Pa] apart."""
-UNKNOWN_GAIN = 0.005
-"""Gain error of a load cell whose calibration gives none [1]."""
+UNKNOWN_GAIN, UNKNOWN_OFFSET = 0.005, 1.0
+"""Gain [1] and offset [N] of a load cell whose calibration gives none."""
+BEYOND = 1.5
+"""Factor on what a calibration allows, from which on it is contradicted: one good cell in 20 exceeds its 95 %."""
 MEAN, LIFT, SET_DOWN = "static-mean", "static-lift", "static-set-down"
 PHASES = ("lift", "set-down")
 
@@ -147,12 +149,14 @@ class ByCell:
         read: dict[float, list[float]] = {}
         for trial in (one for run in runs for one in run.trials if "force" in one.channels and "load" in one.point):
             times = times_of(trial)
-            hanging = trial.usable & (trial.t > times["lift"]) & (trial.t < times["set-down"])
+            F = trial.channels["force"]
+            hanging = trial.usable & np.isfinite(F) & (trial.t > times["lift"]) & (trial.t < times["set-down"])
             if np.count_nonzero(hanging) >= FEWEST:
-                read.setdefault(trial.point["load"], []).append(float(np.median(trial.channels["force"][hanging])))
+                read.setdefault(trial.point["load"], []).append(float(np.median(F[hanging])))
         loads = np.array(sorted(load for load in read if load > 0))
         off = np.array([float(np.mean(read[load])) - load for load in loads])
-        if not (np.abs(off) > np.hypot((UNKNOWN_GAIN if gain is None else gain) * loads, offset)).any():
+        known = (UNKNOWN_GAIN if gain is None else gain) * loads, offset or UNKNOWN_OFFSET
+        if not (np.abs(off) > BEYOND * np.hypot(*known)).any():
             return None
         slope, start = np.polyfit(loads, off, 1) if len(loads) > 1 else (0.0, off[0])
         return cls(float(start), float(slope), float(max(off / loads, key=abs)))

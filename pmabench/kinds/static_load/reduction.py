@@ -76,9 +76,10 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     findings += scales.findings(lines, ["pressure"])
     findings += _of_both_ways(lines, mean, plain.zero)
     if cell is not None:
-        text = f"the load cell reads {abs(cell.share):.1%} {'more' if cell.share > 0 else 'less'} than the marks of the"
-        text += (
-            " loads that hang on it, which its calibration does not allow: weigh the loads, and calibrate the cell. "
+        way = "more" if cell.share > 0 else "less"
+        text = (
+            f"the load cell reads {abs(cell.share):.1%} {way} than the marks of the loads that hang on it, which its "
+            "calibration does not allow: weigh the loads, and calibrate the cell. "
         )
         findings.append(Finding("doubt", f"{text}F_ce is given for the marks, and its intervals hold either"))
     facts = {

@@ -44,6 +44,7 @@ KIND = Kind(
     moves="displacement",
     repeated="pmabench.kinds.step_displacement.reduction:stiffness_of",
     repeated_is="stiffness",
+    drifts="force",
     word="step of displacement",
     offers="pmabench.kinds.step_displacement.reduction:offers",
     methods=METHODS,

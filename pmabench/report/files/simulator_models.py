@@ -100,6 +100,12 @@ def control_model(analysis: Analysis, runs: Sequence[RunData] = ()) -> ControlMo
 
     `runs` give the moving mass; without them it is the load over gravity.
     """
+    model = _curves(analysis, runs)
+    return replace(model, deviation=deviation_of(analysis, runs, model.params))
+
+
+def _curves(analysis: Analysis, runs: Sequence[RunData]) -> ControlModel:
+    """The model without its deviation."""
     primary = analysis.estimates[0].method if analysis.estimates else ""
     values = _primary_values(analysis)
     shared = sorted(set(values.get("F_ce", {})) & set(values.get("K", {})))
@@ -133,7 +139,7 @@ def control_model(analysis: Analysis, runs: Sequence[RunData] = ()) -> ControlMo
     traces, masses = _free_runs(analysis), _masses(runs)
     params["M"] = next(iter(masses.values()), None) or (traces[0].marks["load"] / GRAVITY if traces else 1.0)
     params["v_0"] = SLOW
-    return ControlModel(params, clean(primary, 80), notes, deviation_of(analysis, runs, params))
+    return ControlModel(params, clean(primary, 80), notes, None)
 
 
 def _free_runs(analysis: Analysis) -> list[Trace]:
@@ -262,7 +268,7 @@ def mujoco_model(analysis: Analysis, runs: Sequence[RunData] = ()) -> ControlMod
     The lines are those of least squares through the values at the tested pressures. B is the mean of B_c and B_r. Of a
     bent muscle it is the tangent where K is the slope.
     """
-    model = control_model(analysis, runs)
+    model = _curves(analysis, runs)
     P, notes = model.params["P"], list(model.notes)
     straight = {name: value for name, value in model.params.items() if name not in ("x", "bend")}
     places = slopes_of([analysis], (analysis.estimates[0].method,))

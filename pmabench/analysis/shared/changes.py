@@ -1,0 +1,268 @@
+"""Changes of a sensor in the middle of a run: its scale or zero, by hand, by a slip or by drift.
+
+Trials at one operating point repeat each other: where they differ by a step or a line in time, other operating points,
+which lie wholly before or after it, are off by as much although their own trials agree. What a drive shows: `followed`.
+
+Which part of the run was right is unknown. So the reduction is repeated with the whole channel changed by as much, and
+each value holds the difference in its interval, or is withheld.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from math import nan
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmabench.analysis.shared import student
+from pmabench.analysis.shared.form import Doubt, weighed
+from pmabench.analysis.shared.trials import grouped, point_of, six_digits
+from pmabench.store.analyses.results import Analysis, Estimate, Finding
+from pmabench.store.records import Array, RunData, TrialData
+
+SENT = "displacement_command"
+LEAST = 0.01
+"""Relative change of values at one operating point from which on it counts [1]."""
+DRIFTS = 0.02
+"""The same for a line in time that is significant, but not `SURE`."""
+BENT = 0.25
+"""Share of what the rate of motion changes that may differ from a line."""
+SURE = 8.0
+"""Standard errors above which a step or a line in time is a change."""
+RELATIVE = 0.2
+"""Share of the largest value below which values are left out."""
+APART = 0.1
+"""Least rms distance of values from the mean of their cell, of the time or of a step [1]."""
+LARGEST = 0.5
+"""Largest change for that [1]."""
+FEWEST = 6
+"""Fewest values."""
+BINS, PIECES = 20, 8
+"""Number of places at which the force is compared; most values of a trial."""
+TRAVEL = 1e-3
+"""Least travel of a command [m]."""
+SWEPT = ("speed", "frequency", "cycles")
+"""Coordinates of an operating point that change the force at a place little."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """Change of a channel of a run: y becomes y + offset + gain (y - about); the sentence that describes it."""
+
+    channel: str
+    gain: float
+    offset: float
+    about: float
+    text: str
+
+    def of(self, trial: TrialData) -> TrialData:
+        """The trial with the channel changed throughout."""
+        y = trial.channels.get(self.channel)
+        if y is None:
+            return trial
+        return replace(trial, channels={**trial.channels, self.channel: y + self.offset + self.gain * (y - self.about)})
+
+
+def with_changes(
+    analysis: Analysis, runs: Sequence[RunData], reduction: Callable[[Sequence[RunData]], Analysis],
+    found: Callable[[RunData], Iterable[Sequence[Change]]],
+) -> Analysis:  # fmt: skip
+    """The analysis with the effect of changes in each interval, and a doubt about each; `found` gives those of a run,
+    each with all that it may be.
+    """
+    findings = list[Finding]()
+    ways = dict[tuple[str, int], dict[str, Change]]()
+    for run in runs:
+        for changes in found(run):
+            findings.append(Finding("doubt", changes[0].text))
+            for number, change in enumerate(one for one in changes if one.gain or one.offset):
+                ways.setdefault((change.channel, number), {})[run.id] = change
+    doubts: list[dict[str, Doubt]] = [{} for _ in analysis.estimates]
+    for (channel, _), changed in ways.items():
+        others = reduction([_changed(run, changed.get(run.id)) for run in runs]).estimates
+        widest = max(changed.values(), key=lambda one: abs(one.gain))
+        for e, mine in zip(analysis.estimates, doubts, strict=True):
+            half = _apart(e, others, widest)
+            if channel not in mine or half > mine[channel].half:
+                mine[channel] = Doubt(f"change of the {channel} in the run", "drift", half, True, widest.text)
+    weighted = (weighed(e, mine.values()) for e, mine in zip(analysis.estimates, doubts, strict=True))
+    return replace(analysis, estimates=tuple(weighted), findings=(*analysis.findings, *findings))
+
+
+def _changed(run: RunData, change: Change | None) -> RunData:
+    return run if change is None else replace(run, trials=tuple(change.of(trial) for trial in run.trials))
+
+
+def _apart(e: Estimate, others: Sequence[Estimate], change: Change) -> float:
+    """Difference of an estimate from that of `others`, taken to the same contraction along their values.
+
+    A value that is given for the commanded contraction is the same there; it is off by its slope over the contraction.
+    """
+    if e.value is None:
+        return 0.0
+
+    def key(one: Estimate) -> tuple[object, ...]:
+        return one.symbol, one.method, one.coordinate, six_digits(one.at, "contraction")
+
+    alike = sorted(
+        (one.at.get("contraction", 0.0), one.value) for one in others if key(one) == key(e) and one.value is not None
+    )
+    if not alike:
+        return abs(change.gain * e.value)
+    x, values = np.array(alike).T
+    place, slopes = e.at.get("contraction", 0.0), np.gradient(values, x) if len(set(x)) == len(x) > 1 else 0 * x
+    near = int(np.argmin(np.abs(x - place)))
+    half = abs(float(values[near] + slopes[near] * (place - x[near])) - e.value)
+    if change.channel == "displacement" and half < 1e-9 * abs(e.value):
+        half = abs(float(slopes[near]) * (change.offset + change.gain * (place - change.about)))
+    return half
+
+
+def of_values(run: RunData, channel: str, what: str, values: tuple[Array, Array, Array]) -> Iterator[list[Change]]:
+    """The change that one value of each trial shows, as one of the scale of a channel: cell, time and value as in
+    `Rows`.
+    """
+    if found := Rows(*values, np.zeros(len(values[0]))).change():
+        yield [Change(channel, found.size, 0.0, 0.0, found.text(run, what))]
+
+
+def of_forces(run: RunData) -> Iterator[list[Change]]:
+    """The change that the force of a driven end shows, as one of the scale or of the zero of its cell."""
+    if found := _forces(run).change():
+        text = found.text(run, "force at the same places")
+        offset = found.size * found.level
+        yield [Change("force", found.size, 0.0, 0.0, text), Change("force", 0.0, offset, 0.0, text)]
+
+
+@dataclass(frozen=True)
+class Found:
+    """A change in time."""
+
+    size: float
+    """As a share of the values before or after it, the larger one [1]."""
+    time: float
+    """Time of a step [s]; nan of a line."""
+    level: float
+    """Largest mean of the cells that show it [as the value]."""
+
+    def text(self, run: RunData, what: str) -> str:
+        """The sentence that describes it."""
+        when = "from the first trial to the last" if np.isnan(self.time) else f"from about {self.time:.0f} s on"
+        return (
+            f"{run.id}: at one operating point the {what} changed by {self.size:+.2g} of it {when}: a sensor or the "
+            "specimen, and values at other operating points lie wholly before or after it. Look for the cause, and "
+            "measure again"
+        )
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Values that repeat each other within a cell, arrays of shape (n,).
+
+    `cell` numbers operating points, `t` is the time [s], `rate` is what the value may depend on within a cell.
+    """
+
+    cell: Array
+    t: Array
+    value: Array
+    rate: Array
+
+    def change(self) -> Found | None:
+        """The step or the line in time that explains most of what the values differ within cells; None without one."""
+        mean = self._mean(self.value)
+        good = mean > RELATIVE * mean.max(initial=0.0)
+        rows = Rows(self.cell[good], self.t[good], self.value[good], self.rate[good])
+        cells, mean = len(set(rows.cell.tolist())), mean[good]
+        free = len(mean) - 2 * cells - 1
+        if len(mean) < FEWEST or cells < 2 or free < 1:
+            return None
+        times = np.unique(rows.t)[1:]
+        since = (rows.t >= times[:, None]) * 1.0
+        within = 0.5 * (since + (rows.t > times[:, None]))  # a step while the first of these values was measured
+        tried = np.vstack([(rows.t - rows.t.min()) / np.ptp(rows.t), since, within])
+        off, rate, tried = rows.value / mean - 1, rows.rate - rows._mean(rows.rate), tried - rows._mean(tried)
+        by_rate = rate * (np.unique(rows.cell)[:, None] == rows.cell)
+        by_rate = by_rate[by_rate.any(axis=1)]
+        by_rate /= np.linalg.norm(by_rate, axis=1)[:, None]
+        line = off @ by_rate.T @ by_rate
+        least = max(LEAST, BENT * float(np.ptp(line)))
+        off, tried = off - line, tried - tried @ by_rate.T @ by_rate
+        power = np.sum(tried**2, axis=1)
+        power[0] = power[0] if power[0] > len(off) * APART**2 else 0.0
+        known = power > APART**2
+        sizes = np.where(known, tried @ off / np.where(known, power, 1.0), 0.0)
+        left = off @ off - sizes**2 * power
+        error = np.sqrt(np.maximum(left, 1e-12) / free / np.where(known, power, np.inf))
+        best = int(np.argmin(left))
+        if abs(sizes[best]) <= max(least, SURE * error[best]):
+            if abs(sizes[0]) <= max(DRIFTS, least, float(student.ppf(0.975, free)) * error[0]):
+                return None
+            best = 0
+        level = float(mean[np.abs(tried[best]) > APART].max())
+        size = float(sizes[best])
+        return Found(
+            size / (1 - min(abs(size), LARGEST)), nan if best == 0 else float(times[(best - 1) % len(times)]), level
+        )
+
+    def _mean(self, of: Array) -> Array:
+        """Mean of `of`, shape (..., n), over the cell of each row."""
+        mine = (self.cell[:, None] == np.unique(self.cell)).astype(np.float64)
+        return np.asarray((of @ mine / mine.sum(axis=0)) @ mine.T)
+
+
+def _forces(run: RunData) -> Rows:
+    """Mean force of the cycles of each driven trial, over that of its cell at the same places and directions [N].
+
+    A cell has the repeats of an operating point; without repeats, trials of all speeds.
+    """
+    needed = {SENT, "force"}
+    trials = [one for one in run.trials if one.status == "finished" and not one.again and needed <= set(one.channels)]
+    repeated = len({point_of(one) for one in trials}) < len(trials)
+    cells = grouped(trials, lambda one: tuple(p for p in point_of(one) if repeated or p[0] not in SWEPT))
+    rows = [row for number, mine in enumerate(cells.values()) for row in _shares(number, mine)]
+    return Rows(*np.array(rows).reshape(-1, 4).T)
+
+
+def _shares(number: int, trials: Sequence[TrialData]) -> Iterator[tuple[float, float, float, float]]:
+    """Cell, time, mean force and speed of the cycles of each trial of a cell, in at most `PIECES` pieces."""
+    parts = []
+    for trial in trials:
+        sent, force = trial.channels[SENT], trial.channels["force"]
+        good = trial.usable & np.isfinite(sent) & np.isfinite(force)
+        if found := cycles(sent[good]):
+            parts.append((trial.t[good], sent[good], force[good], found))
+    if not parts:
+        return
+    low, high = min(float(p[1].min()) for p in parts), max(float(p[1].max()) for p in parts)
+    places = [2 * np.round(BINS * (sent - low) / (high - low)).astype(np.intp) + (side(sent) > 0)
+              for _, sent, _, _ in parts]  # fmt: skip
+    where, forces = np.concatenate(places), np.concatenate([force for _, _, force, _ in parts])
+    usual = np.bincount(where, forces) / np.maximum(np.bincount(where), 1)
+    level = float(forces.mean())
+    for (t, sent, force, found), place in zip(parts, places, strict=True):
+        for some in np.array_split(np.arange(len(found)), min(PIECES, len(found))):
+            rows = np.concatenate([found[n] for n in some])
+            share = float(force[rows].sum() / usual[place[rows]].sum())
+            lasts = float(t[rows[-1]] - t[rows[0]])
+            yield number, float(t[rows[0]]), share * level, len(some) * float(np.ptp(sent[rows])) / lasts
+
+
+def side(sent: Array) -> Array:
+    """1 after a motion (n,) was in the upper quarter of its range and until it is in the lower one, where it is -1; 0
+    before.
+    """
+    place = (sent - sent.min()) / max(float(np.ptp(sent)), 1e-12)
+    event = np.where(place > 0.75, 1, np.where(place < 0.25, -1, 0))
+    last = np.maximum.accumulate(np.where(event != 0, np.arange(len(event)), 0))
+    return np.asarray(event[last])
+
+
+def cycles(sent: Array) -> list[NDArray[np.intp]]:
+    """Rows of each whole cycle of a motion, from one rise to the next; noise of a command that is read is none."""
+    if len(sent) < FEWEST or np.ptp(sent) < TRAVEL:
+        return []
+    up = side(sent) > 0
+    return [np.arange(begin, end) for begin, end in pairwise(np.flatnonzero(up[1:] & ~up[:-1]) + 1)]
