@@ -48,6 +48,8 @@ SWEEP = 1.2
 GRID = 0.002
 LAG = 0.75
 """Largest delay or advance of samples against the plant, as a fraction of their period."""
+LOST = 0.5
+"""Share of the borders between blocks at which a sample may be missing, since a busy computer loses some anywhere."""
 RAGGED = 0.35
 """Largest mean deviation during the motion, as a fraction of the plant's change per sample period."""
 
@@ -217,6 +219,9 @@ def _paced(found: Recording, rate: float) -> None:
     ):
         if sum(weights) > max(2, 0.07 * len(steps)):
             wrong.append(f"{sum(weights)} of {len(steps)} samples are {word}, by their times")
+    between = [steps[border - 1] for border in found.borders if 0 < border <= len(steps)]
+    if sum(step > 1.6 * period for step in between) > max(2, LOST * len(between)):
+        wrong.append("samples are missing between most blocks")
     if wrong:
         raise Late(", and ".join(wrong))
 
