@@ -129,6 +129,18 @@ def test_the_table_says_what_the_appendix_says(content):
     assert pairs <= appendix
 
 
+def test_where_all_values_are_at_one_place_a_note_says_it_and_the_table_what_differs():
+    """Of sines the column was wider than the page: its end and the number of trials were cut off."""
+    at = {"pressure": 3e5, "mean": 0.01, "amplitude": 0.005}
+    plain = samples.sine()
+    e = next(e for e in plain.estimates if e.symbol == "K")
+    values = [replace(e, at=at), replace(e, at={**at, "frequency": 0.1})]
+    table, _, over = result_table([replace(plain, estimates=tuple(values))])
+    assert over == ""
+    assert [row[-2].text for row in table.rows] == ["", "f 0.1 Hz"]
+    assert table.notes[0] == "All at amplitude 5 mm, mean x 10 mm, P 300 kPa"
+
+
 def test_points_are_below_each_other():
     table, _, _ = result_table(samples.all_analyses())
     for column in zip(*table.rows, strict=True):

@@ -6,7 +6,7 @@ Its rows come from `foremost.richest`, its cells from `tables.cell`, as on the t
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from pmabench.plotting.wording import clean, number, point_shown, rounded, shown, symbol_text
@@ -128,25 +128,25 @@ def _letters(column: Sequence[Value], head: tuple[str, str]) -> int:
 
 
 def _whole(tests: Sequence[Analysis]) -> ResultTable:
-    """Where no test has values at several places: its headline values, a row each."""
-    rows: list[list[Value]] = []
-    held: list[Estimate] = []
+    """Where no test has values at several places: its headline values, a row each; a place of all rows is a note."""
     results = declared(tests)
-    for analysis in tests:
-        for e in analysis.estimates:
-            result = results.get(e.symbol)
-            if e.coordinate or result is None or not result.headline or len(rows) >= MOST_ROWS:
-                continue
-            held.append(e)
-            places = [(*point_shown(k), v) for k, v in e.at.items() if k != "mass"]
-            at = ", ".join(f"{label} {number(v / unit.scale)} {unit.unit}".strip() for label, unit, v in places)
-            named, texts = (
-                (symbol_text(e.symbol), clean(result.title, 60)),
-                (shown(e.quantity, e.unit).unit, at, str(e.n)),
-            )
-            rows.append([*map(Value, named), *_aligned([cell(e)]), *map(Value, texts)])
+    every = (e for analysis in tests for e in analysis.estimates)
+    held = [e for e in every if not e.coordinate and e.symbol in results and results[e.symbol].headline][:MOST_ROWS]
+    alike = {k: v for k, v in held[0].at.items() if all(e.at.get(k) == v for e in held[1:])} if len(held) > 1 else {}
+
+    def placed(at: Mapping[str, float]) -> str:
+        places = [(*point_shown(k), v) for k, v in sorted(at.items()) if k != "mass"]
+        return ", ".join(f"{label} {number(v / unit.scale)} {unit.unit}".strip() for label, unit, v in places)
+
+    rows: list[list[Value]] = []
+    for e in held:
+        named = symbol_text(e.symbol), clean(results[e.symbol].title, 60)
+        at = placed({k: v for k, v in e.at.items() if k not in alike})
+        texts = shown(e.quantity, e.unit).unit, at, str(e.n)
+        rows.append([*map(Value, named), *_aligned([cell(e)]), *map(Value, texts)])
     heads = [("", ""), ("quantity", ""), ("value ± U", ""), ("unit", ""), ("at", ""), ("n", "")]
-    notes = [clean(note, 160) for note in reasons(held)]
+    notes = [f"All at {where}"] if (where := placed(alike)) else []
+    notes += [clean(note, 160) for note in reasons(held)]
     return ResultTable(heads, rows, notes[:MOST_NOTES], frozenset(e.symbol for e in held)) if rows else ResultTable()
 
 
