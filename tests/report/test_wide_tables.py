@@ -3,7 +3,7 @@
 import pytest
 
 from pmabench.plotting.wording import Frame
-from pmabench.report.document.grids import MOST, narrow
+from pmabench.report.document.grids import MOST, grid, narrow
 from pmabench.report.document.tables import Table
 
 
@@ -70,3 +70,17 @@ def test_plain_numbers_take_less_room():
     rows = [{"P [kPa]": "100"} | {f"c{n} [s]": "1.5" for n in range(12)}]
     assert len(narrow(Table("", Frame(rows).without("c9 [s]").without("c10 [s]").without("c11 [s]")))) == 1
     assert len(narrow(Table("", Frame(rows)))) == 2
+
+
+def test_what_is_said_of_many_rows_stands_below_once():
+    """The column of notes took half of the PDF's pages: its sentences, each once, are below, numbers in their place."""
+    said = ["a; b", "", "b", "b; c"]
+    made = grid(Frame([{"K": str(n), "note": note} for n, note in enumerate(said)]), notes="note")
+    cells = [row[1].text for _, rows in made.groups for row in rows]
+    assert [[made.notes[int(n) - 1] for n in cell.split(", ") if n] for cell in cells] == [
+        ["a", "b"],
+        [],
+        ["b"],
+        ["b", "c"],
+    ]
+    assert sorted(made.notes) == ["a", "b", "c"]

@@ -374,7 +374,7 @@ def _findings(estimates: Sequence[Estimate]) -> tuple[Finding, ...]:
 
 def _spread(over: str, ends: tuple[float, float]) -> str:
     low, high = (show(end, "time", 3) for end in ends)
-    return f"mean over {over}, from {low} to {high}: the method part reaches to the farther end"
+    return f"mean over {over}, from {low} to {high}; the method part reaches to the farther end"
 
 
 def _dead_times(campaign: Campaign, moved: set[int], behind: Mapping[str, tuple[float, float]]) -> list[Estimate]:

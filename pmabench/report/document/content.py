@@ -258,7 +258,7 @@ def _section(analysis: Analysis, figures: _Figures, used: Sequence[str], names: 
     section.tables = [grid(t.frame, wording.clean(t.caption)) for t in shown]
     section.figures = [figures.add(p) for p in kind_pictures(analysis, used) if p.svg not in figures.drawn]
     parts = tables.parts_table(analysis, names)
-    section.parts = grid(parts) if len(parts) else None
+    section.parts = grid(parts, notes="note") if len(parts) else None
     budget = budget_table(analysis)
     section.budget = grid(budget.frame, budget.caption) if budget else None
     return section

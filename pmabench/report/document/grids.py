@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from pmabench.plotting.wording import AT_MOST, POINTS, UNRESOLVED, WITHHELD, Frame, point_head
 from pmabench.report.document.tables import Table
@@ -47,6 +47,8 @@ class Grid:
     columns: list[Column]
     groups: list[tuple[str, list[list[Cell]]]]
     caption: str = ""
+    notes: list[str] = field(default_factory=list)
+    """What the numbers in the column of notes mean; the first is 1."""
 
     @property
     def width(self) -> int:
@@ -59,14 +61,16 @@ class Grid:
         return sum(len(rows) for _, rows in self.groups) <= SHORT
 
 
-def grid(frame: Frame, caption: str = "", *, group: bool | None = None) -> Grid:
+def grid(frame: Frame, caption: str = "", *, group: bool | None = None, notes: str = "") -> Grid:
     """A frame of text as a table: columns of `a ± b` split, empty columns left out.
 
-    Methods become headings of groups of rows with `group`, or where it is None and that makes few headings.
+    Methods become headings of groups of rows with `group`, or where it is None and that makes few headings. The column
+    named `notes` holds sentences, separated by semicolons: they go below the table, each once, and numbers in their place.
     """
     if len(frame) > MOST_ROWS:
         caption = f"{caption}; the first {MOST_ROWS} of {len(frame)}, all lie in the analysis folder".lstrip("; ")
         frame = Frame(frame.rows[:MOST_ROWS], frame.columns)
+    frame, below = _numbered(frame, notes)
     shown_columns = frame.filled().columns if len(frame) else frame.columns
     methods = len(set(frame["method"])) if "method" in shown_columns else 0
     few = methods == 1 or len(frame) >= FEWEST_IN_GROUP * methods
@@ -90,7 +94,19 @@ def grid(frame: Frame, caption: str = "", *, group: bool | None = None) -> Grid:
         if not groups or groups[-1][0] != heading:
             groups.append((heading, []))
         groups[-1][1].append([_cell(str(record[c.head]), c.align) for c in columns])
-    return Grid(columns, groups, caption)
+    return Grid(columns, groups, caption, below)
+
+
+def _numbered(frame: Frame, name: str) -> tuple[Frame, list[str]]:
+    """The frame with numbers in place of the sentences of one column, and the sentences."""
+    if name not in frame.columns:
+        return frame, []
+    numbers: dict[str, int] = {}
+    rows = []
+    for row in frame.rows:
+        said = (one for one in str(row[name]).split("; ") if one)
+        rows.append(row | {name: ", ".join(str(numbers.setdefault(one, len(numbers) + 1)) for one in said)})
+    return Frame(rows, frame.columns), list(numbers)
 
 
 def _cell(text: str, align: str) -> Cell:
