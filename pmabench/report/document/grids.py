@@ -65,7 +65,8 @@ def grid(frame: Frame, caption: str = "", *, group: bool | None = None, notes: s
     """A frame of text as a table: columns of `a ± b` split, empty columns left out.
 
     Methods become headings of groups of rows with `group`, or where it is None and that makes few headings. The column
-    named `notes` holds sentences, separated by semicolons: they go below the table, each once, and numbers in their place.
+    named `notes` holds sentences, separated by semicolons: each goes below
+    the table once, its number into the cells.
     """
     if len(frame) > MOST_ROWS:
         caption = f"{caption}; the first {MOST_ROWS} of {len(frame)}, all lie in the analysis folder".lstrip("; ")
