@@ -65,8 +65,7 @@ def grid(frame: Frame, caption: str = "", *, group: bool | None = None, notes: s
     """A frame of text as a table: columns of `a ± b` split, empty columns left out.
 
     Methods become headings of groups of rows with `group`, or where it is None and that makes few headings. The column
-    named `notes` holds sentences, separated by semicolons: each goes below
-    the table once, its number into the cells.
+    named `notes` holds sentences, separated by semicolons: each goes below the table once, its number into the cells.
     """
     if len(frame) > MOST_ROWS:
         caption = f"{caption}; the first {MOST_ROWS} of {len(frame)}, all lie in the analysis folder".lstrip("; ")
