@@ -106,6 +106,8 @@ class Kind:
     """Name of that value: `stiffness`."""
     drifts: str = ""
     """Channel to whose scale its values are proportional, if the reduction does not itself weigh a change of it."""
+    regulated: bool = True
+    """Whether the pressure comes to a constant command, and its reduction does not itself weigh the difference."""
     word: str = ""
     """Its name in a comparison of tests, `sine`; the same for two reductions of the same runs."""
     offers: str = ""

@@ -12,6 +12,7 @@ from typing import Any
 from pmabench.analysis.imported import in_time, without_doubtful
 from pmabench.analysis.shared.changes import Change, of_forces, of_values, with_changes
 from pmabench.analysis.shared.followed import followed
+from pmabench.analysis.shared.regulated import regulated
 from pmabench.analysis.shared.samples import with_motion
 from pmabench.analysis.shared.signals import without_spikes
 from pmabench.analysis.shared.trials import grouped, session_of, six_digits
@@ -151,10 +152,11 @@ def _reduced(kind: str, runs: Sequence[RunData], options: Mapping[str, Any] | No
 
 def _changes(kind: Kind, run: RunData) -> list[Sequence[Change]]:
     """Changes of a sensor within a run, each with all that it may be."""
-    found: list[Sequence[Change]] = [[change] for change in [followed(run)] if change]
+    off = regulated(run) if kind.regulated and not kind.loop else None
+    found: list[Sequence[Change]] = [[change] for change in [followed(run), off] if change]
     if kind.drifts == "force":
         found += of_forces(run)
-    seen = any(one.gain or one.offset for changes in found for one in changes)
+    seen = any(one is not off and (one.gain or one.offset) for changes in found for one in changes)
     if kind.drifts and not seen and (repeats := repeats_of(kind, [run])):
         found += of_values(run, kind.drifts, kind.repeated_is, (repeats.cell, repeats.t, repeats.value))
     return found

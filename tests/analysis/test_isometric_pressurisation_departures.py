@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from pmabench.kinds.isometric_pressurisation import reduction
+from pmabench.kinds.reduce import reduce_runs
 from pmabench.store.records import Command, TrialData
 from tests.analysis.judged_forms import as_run
 
@@ -42,10 +43,12 @@ def after_lag(y, steps):
     return np.array(found)
 
 
-def found(seed, ramp=20e3, rate=50.0, lags=None, declared=0.0, known=None, zeros=None, places=PLACES, coarse=0.0):
+def found(
+    seed, ramp=20e3, rate=50.0, lags=None, declared=0.0, known=None, zeros=None, places=PLACES, coarse=0.0, gauge=0.0
+):
     """The analysis of two tests at each length. `lags` and `zeros`: channel -> lag of its sensor [s], its zero [SI].
 
-    `coarse`: the step in which the regulator goes [Pa].
+    `coarse`: the step in which the regulator goes [Pa]; `gauge`: what it reads of the commanded pressure, on record.
     """
     rng, trials, way = np.random.default_rng(seed), [], TOP / ramp
     corners = np.cumsum([0.0, REST, way, REST, way, REST])
@@ -59,6 +62,8 @@ def found(seed, ramp=20e3, rate=50.0, lags=None, declared=0.0, known=None, zeros
         read = {name: y + (zeros or {}).get(name, 0.0) for name, y in read.items()}
         noise = {"pressure": 400.0, "force": 0.3}
         read = {name: y + rng.normal(0, noise[name], len(t)) for name, y in read.items()}
+        if gauge:
+            read |= {"pressure": gauge * read["pressure"], "pressure_command": P}
         read["displacement"] = x + rng.normal(0, 2e-6, len(t))
         begin = i * (corners[-1] + 10.0)
         commands = tuple(
@@ -70,7 +75,8 @@ def found(seed, ramp=20e3, rate=50.0, lags=None, declared=0.0, known=None, zeros
     facts = {name: dict(of) for name, of in (known or {}).items()}
     for name in lags if lags and declared else ():
         facts[name] = {**facts.get(name, {}), "sensor_lag": declared}
-    return reduction.reduce([as_run("isometric-pressurisation", trials, rate, {}, facts)])
+    run = as_run("isometric-pressurisation", trials, rate, {}, facts)
+    return reduce_runs([run])[0] if gauge else reduction.reduce([run])
 
 
 def truth(e):
@@ -176,3 +182,21 @@ def test_where_a_loop_turns_on_the_line_its_zero_is_held():
             if e.method == "isometric-line":
                 assert off(e, truth(e)) <= 1
                 assert e.parts.combined < 3e3
+
+
+@pytest.mark.parametrize("gauge", [1.06, 0.97])
+def test_a_gauge_that_is_off_its_command_is_held_and_said(gauge):
+    """6 %, where 0.5 % is declared: p_0 was 7 half widths off, m and F_b 5 and 3, and nothing was said."""
+    analysis = found(0, known=CALIBRATED, gauge=gauge)
+    (said,) = (f for f in analysis.findings if f"reads {gauge - 1:+.0%}"[:8] in f.text)
+    assert said.level == "doubt"
+    assert len(above(analysis)) >= len(above(found(0, known=CALIBRATED))) - 3, "500 kPa may not be reached"
+    assert all(off(e, truth(e)) <= 1 for e in above(analysis))
+
+
+@pytest.mark.parametrize("gauge", [1.0, 1.012])
+def test_a_regulator_as_good_as_usual_widens_nothing(gauge):
+    """1.2 % off, where the gauge is known to 0.6 % and regulators are good to 1 %."""
+    analysis = found(0, known=CALIBRATED, gauge=gauge)
+    assert not any("off its command" in f.text for f in analysis.findings)
+    assert not any(line.name == "gauge against command" for e in above(analysis) for line in e.budget)

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.shared import student
-from pmabench.analysis.shared.form import Doubt, weighed
+from pmabench.analysis.shared.form import MOST_HIDDEN, Doubt, weighed
 from pmabench.analysis.shared.trials import grouped, point_of, six_digits
 from pmabench.store.analyses.results import Analysis, Estimate, Finding
 from pmabench.store.records import Array, RunData, TrialData
@@ -57,6 +57,10 @@ class Change:
     offset: float
     about: float
     text: str
+    name: str = ""
+    """Its line in a budget; else `change of the <channel> in the run`."""
+    most: float = MOST_HIDDEN
+    """Effect, as a share of a value, above which that is withheld."""
 
     def of(self, trial: TrialData) -> TrialData:
         """The trial with the channel changed throughout."""
@@ -84,10 +88,18 @@ def with_changes(
     for (channel, _), changed in ways.items():
         others = reduction([_changed(run, changed.get(run.id)) for run in runs]).estimates
         widest = max(changed.values(), key=lambda one: abs(one.gain))
-        for e, mine in zip(analysis.estimates, doubts, strict=True):
-            half = _apart(e, others, widest)
+        shifts = [_apart(e, others, widest) for e in analysis.estimates]
+        largest = dict[tuple[str, str], float]()
+        for e, half in zip(analysis.estimates, shifts, strict=True):
+            if e.value and half is not None:
+                largest[e.symbol, e.method] = max(largest.get((e.symbol, e.method), 0.0), half / abs(e.value))
+        for e, mine, shift in zip(analysis.estimates, doubts, shifts, strict=True):
+            share = max(abs(widest.gain), largest.get((e.symbol, e.method), 0.0))
+            half = share * abs(e.value or 0.0) if shift is None else shift
             if channel not in mine or half > mine[channel].half:
-                mine[channel] = Doubt(f"change of the {channel} in the run", "drift", half, True, widest.text)
+                mine[channel] = Doubt(
+                    widest.name or f"change of the {channel} in the run", "drift", half, True, widest.text, widest.most
+                )
     weighted = (weighed(e, mine.values()) for e, mine in zip(analysis.estimates, doubts, strict=True))
     return replace(analysis, estimates=tuple(weighted), findings=(*analysis.findings, *findings))
 
@@ -96,8 +108,9 @@ def _changed(run: RunData, change: Change | None) -> RunData:
     return run if change is None else replace(run, trials=tuple(change.of(trial) for trial in run.trials))
 
 
-def _apart(e: Estimate, others: Sequence[Estimate], change: Change) -> float:
-    """Difference of an estimate from that of `others`, taken to the same contraction along their values.
+def _apart(e: Estimate, others: Sequence[Estimate], change: Change) -> float | None:
+    """Difference of an estimate from that of `others`, taken to the same contraction along their values; None where
+    they have none at its operating point.
 
     A value that is given for the commanded contraction is the same there; it is off by its slope over the contraction.
     """
@@ -111,7 +124,7 @@ def _apart(e: Estimate, others: Sequence[Estimate], change: Change) -> float:
         (one.at.get("contraction", 0.0), one.value) for one in others if key(one) == key(e) and one.value is not None
     )
     if not alike:
-        return abs(change.gain * e.value)
+        return None
     x, values = np.array(alike).T
     place, slopes = e.at.get("contraction", 0.0), np.gradient(values, x) if len(set(x)) == len(x) > 1 else 0 * x
     near = int(np.argmin(np.abs(x - place)))

@@ -33,6 +33,7 @@ KIND = Kind(
     protocol="pmabench.kinds.closed_volume.protocol:ClosedVolume",
     live="pmabench.kinds.closed_volume.reduction:one_trial",
     moves="displacement",
+    regulated=False,
     methods=METHODS,
     figures={"volume": "pmabench.kinds.closed_volume.reduction:volumes"},
 )

@@ -60,6 +60,7 @@ KIND = Kind(
     protocol="pmabench.kinds.isobaric_ramp.protocol:IsobaricRamp",
     live="pmabench.kinds.isobaric_ramp.figures:measure",
     moves="displacement",
+    regulated=False,
     repeated="pmabench.analysis.shared.ramp_loop:stiffness_of",
     repeated_is="stiffness",
     drifts="force",

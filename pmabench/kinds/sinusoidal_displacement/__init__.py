@@ -56,6 +56,7 @@ KIND = Kind(
     protocol="pmabench.kinds.sinusoidal_displacement.protocol:SinusoidalDisplacement",
     live="pmabench.kinds.sinusoidal_displacement.reduction:one_trial",
     moves="displacement",
+    regulated=False,
     repeated="pmabench.analysis.shared.sine_loop:stiffness_of",
     repeated_is="stiffness",
     drifts="force",

@@ -1,0 +1,76 @@
+"""Whether the measured pressure is at its command at rest: a regulator and a gauge that disagree.
+
+The record does not say which of the two is off. Values over the measured pressure are right with a correct gauge,
+whatever the regulator does; so both are held in their intervals, and nothing is withheld.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import hypot, inf
+
+import numpy as np
+
+from pmabench.analysis.shared.changes import Change
+from pmabench.analysis.shared.trials import grouped
+from pmabench.store.records import Array, RunData, TrialData
+
+PRESSURE, SENT = "pressure", "pressure_command"
+LASTS = 1.0
+"""Least time of a constant command [s]."""
+REST, SAME = 2e-3, 2e-3
+"""Change of pressure and command, as a share of the highest command, that counts as none [1]."""
+HIGH = 0.2
+"""Share of the highest command below which a zero, or a regulator that does not vent, would count as a scale [1]."""
+REGULATES = 0.01
+"""Error of a regulator that is usual, as a share of the highest command [1]."""
+MORE = 1.2
+"""Factor on the difference: at the end of a curve a value changes by less than elsewhere, and its error does not."""
+
+
+def regulated(run: RunData) -> Change | None:
+    """The change of the pressure's scale that brings the gauge to its command at rest; None where they agree.
+
+    They agree within what is declared for the gauge and the usual error of a regulator.
+    """
+    sent = [trial.channels[SENT] for trial in run.trials if SENT in trial.channels and PRESSURE in trial.channels]
+    top = max((float(np.nanmax(one)) for one in sent if np.isfinite(one).any()), default=0.0)
+    rests = [rest for trial in run.trials for rest in _rests(trial, top)]
+    if not rests:
+        return None
+    levels = grouped(rests, lambda rest: round(rest[0] / top, 2))
+    share = float(np.median([np.median([P / level for level, P in alike]) for alike in levels.values()])) - 1
+    highest, info = max(level for level, _ in rests), run.channels.get(PRESSURE)
+    declared = hypot(info.offset_uncertainty, info.gain_uncertainty * highest) if info else 0.0
+    if abs(share) * highest <= declared + REGULATES * top:
+        return None
+    text = (
+        f"{run.id}: at rest the pressure reads {share:+.1%} off its command: the gauge or the regulator is off. "
+        "Intervals hold either. Compare the gauge with another one"
+    )
+    return Change(PRESSURE, 1 / (1 + MORE * share) - 1, 0.0, 0.0, text, "gauge against command", inf)
+
+
+def _rests(trial: TrialData, top: float) -> Iterator[tuple[float, float]]:
+    """Command and mean pressure [Pa] at the end of each constant command at which the pressure is at rest."""
+    if trial.status != "finished" or not {PRESSURE, SENT} <= set(trial.channels):
+        return
+    P, sent = trial.channels[PRESSURE], trial.channels[SENT]
+    good = trial.usable & np.isfinite(P) & np.isfinite(sent)
+    t, P, sent = trial.t[good], P[good], sent[good]
+    for begin, end in _constant(t, sent, SAME * top):
+        quarter = (t[begin:end] > 0.25 * t[begin] + 0.75 * t[end - 1]).nonzero()[0] + begin
+        before, after = np.array_split(quarter, 2)
+        if sent[begin] > HIGH * top and len(before) and abs(P[before].mean() - P[after].mean()) < REST * top:
+            yield float(sent[quarter].mean()), float(P[quarter].mean())
+
+
+def _constant(t: Array, sent: Array, same: float) -> Iterator[tuple[int, int]]:
+    """First sample, and one past the last, of each stretch of `LASTS` and more with a command within `same` [Pa]."""
+    begin = 0
+    while begin < len(t):
+        away = np.abs(sent[begin:] - sent[begin]) > same
+        end = begin + int(np.argmax(away)) if away.any() else len(t)
+        if t[end - 1] - t[begin] >= LASTS:
+            yield begin, end
+        begin = end
