@@ -32,6 +32,9 @@ SUPPLY_MARGIN = 50e3
 SUPPLY_DELAY = 1.0
 """Time of low supply after which the bench holds [s]."""
 
+HANDS = 50e3
+"""Highest pressure at which hands may go in [Pa]: that from which on vessels count as under pressure (2014/68/EU)."""
+
 LIMIT_CHANNEL = {
     "pressure": "pressure",
     "force": "force",
@@ -303,6 +306,9 @@ SETUP_PRESSURE = 100e3
 
 def safe_state(c: Compilation) -> tuple[SafeAction, ...]:
     """The declared actions in order; each output must end where it is safe, and the vent must be confirmed."""
+    if c.bench.hands.below > HANDS:
+        below, most = show(c.bench.hands.below, "pressure"), show(HANDS, "pressure")
+        c.fault(("hands", "below"), f"{below} is no vented muscle: hands may go in at {most} at most")
     actions: list[SafeAction | None] = []
     for index, file in enumerate(c.bench.safe_state):
         verb = file.verb

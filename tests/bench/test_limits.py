@@ -59,6 +59,15 @@ def test_a_contraction_limit_that_only_warns_does_not_replace_the_specimen_s(tmp
     assert found == {0.0625: action, 0.07: "vent"}
 
 
+@pytest.mark.parametrize("below", ["51 kPa", "500 kPa", "20 bar"])
+def test_hands_do_not_go_in_under_pressure(tmp_path, below):
+    """It bounds what confirms a vent: with 500 kPa, a muscle stuck at 200 kPa was "vented"."""
+    vented = "confirm: pressure, below: 20 kPa"
+    path = rig(tmp_path, old="hands: {below: 20 kPa}", new=f"hands: {{below: {below}}}")
+    assert "hands may go in at 50 kPa at most" in refused(path)
+    assert "would confirm no vent" in refused(rig(tmp_path, old=vented, new=vented.replace("20", "21")))
+
+
 NUMBERS = ["command: 600 kPa", "trip: 650 kPa", "trip: 25 %", "trip: 1900 N", "supply: 690 kPa", "relief_valve: 680 kPa",
            "setup_pressure: 80 kPa", "pressure: 50 kPa", "below: 20 kPa, within: 5 s", "ramp: 500 kPa/s",
            "at: 500 kPa/s", "falls: 60 kPa", "more_than: 60 kPa", "faster_than: 5000 kPa/s", "below: 20 kPa}",
