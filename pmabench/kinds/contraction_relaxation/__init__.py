@@ -50,9 +50,6 @@ METHODS = {
         "through the displacement. It takes the pressure for a step, so B comes out too large where the regulator is "
         "slow; kept for comparison with published values."
     ),
-    "step-exponential, F_ce known": (
-        "K from final contractions alone, with F_ce taken from the static-load study or from the primary fit."
-    ),
     "paper-1-x0": (
         "The way of paper 1: K = S = (F_ce − L) / x_max and B = D = τ S from single steps, τ from the first motion to "
         "63.2 % of the stroke, F_ce from the braid's geometry at zero contraction. B_r carries the pressure before the "

@@ -399,23 +399,3 @@ def _by_coefficients(
     names = tuple(dict.fromkeys(name for e in known for name in e.trials))
     at = {"pressure": P, "load": load}
     return Estimate("f_b", value, "Hz", "frequency", MODEL, at, parts, len(names), note=note, trials=names)
-
-
-def findings(estimates: Sequence[Estimate]) -> list[Finding]:
-    """Range of the bandwidths."""
-    if not estimates:
-        return []
-    low, high = min(estimates, key=_value), max(estimates, key=_value)
-    text = (
-        f"small-signal bandwidth of contraction under commanded pressure, -3 dB: {_value(low):.2g} Hz at "
-        f"{_where(low)} to {_value(high):.2g} Hz at {_where(high)}, by the coefficients"
-    )
-    return [Finding("note", text)]
-
-
-def _value(e: Estimate) -> float:
-    return e.value or 0.0
-
-
-def _where(e: Estimate) -> str:
-    return f"{show(e.at['pressure'], 'pressure')} with {show(e.at['load'], 'force', 3)}"

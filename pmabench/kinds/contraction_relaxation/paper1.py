@@ -24,7 +24,7 @@ from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation import PAPER_1_RESULTS
 from pmabench.kinds.contraction_relaxation.paper1_steps import STILL, Braid, Step, compare, fit_known_force, read
 from pmabench.kinds.contraction_relaxation.segments import Campaign, gather, moved
-from pmabench.kinds.contraction_relaxation.values import QUANTITY, biases, compare_orders, curve, least, with_bias
+from pmabench.kinds.contraction_relaxation.values import QUANTITY, best_orders, biases, curve, least, with_bias
 from pmabench.store.analyses.results import Analysis, Curve, Dropped, Estimate, Finding, Parts, without_value
 from pmabench.store.records import Array, RunData
 
@@ -70,7 +70,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     estimates: list[Estimate] = []
     for at in sorted(METHODS, key=lambda name: name != chosen):
         estimates += _by_paper(campaign, up, down, braid, at, driven if at == "x0" else ())
-    curves, findings, compared_orders = _curves([*estimates, *driven], orders)
+    curves, findings = _curves([*estimates, *driven], orders)
     stiff = [e for e in estimates if (e.symbol, e.method) == ("K", METHODS[chosen]) and e.value is not None]
     of_model, said, traces = compare(campaign, steps, curves, stiff, braid, chosen)
     return Analysis.of(
@@ -81,7 +81,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         curves=curves,
         dropped=dropped,
         findings=(
-            *_said(campaign, steps, estimates, chosen),
+            *_said(campaign, steps, estimates),
             *findings,
             *said,
             *skew.findings(alike, campaign.channels, campaign.skew, driven),
@@ -91,7 +91,6 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             "options": settings,
             "trials": sum(len(run.trials) for run in runs),
             "trials_used": len(steps),
-            "orders": compared_orders,
             "steps": [_as_fact(campaign, step) for step in steps],
         },
     )
@@ -262,24 +261,20 @@ def _vented(driven: Sequence[Estimate], down: Sequence[Sequence[Step]]) -> list[
     ]
 
 
-def _curves(
-    estimates: Sequence[Estimate], orders: Mapping[str, int]
-) -> tuple[list[Curve], list[Finding], list[dict[str, Any]]]:
+def _curves(estimates: Sequence[Estimate], orders: Mapping[str, int]) -> tuple[list[Curve], list[Finding]]:
     """A line and a polynomial in z through each coefficient of each method, only those that are positive on their
     domain.
     """
     curves: list[Curve] = []
     findings: list[Finding] = []
-    compared: list[dict[str, Any]] = []
     for method, symbol in dict.fromkeys((e.method, e.symbol) for e in estimates):
         known = [e for e in estimates if (e.method, e.symbol) == (method, symbol) and e.value is not None]
         if len(known) < 2:
             continue
         what = f"{symbol} by {method}"
         P, y = np.array([e.at["pressure"] for e in known]), np.array([e.value for e in known], dtype=np.float64)
-        scores = compare_orders(P, y)
         given = orders.get(symbol)
-        ranked = [given] if given else sorted(scores, key=lambda order: scores[order][0])
+        ranked = [given] if given else best_orders(P, y)
         if given and len(P) < given + 2:
             text = f"a polynomial of order {given} through {what} needs {given + 2} pressures, there are {len(P)}"
             findings.append(Finding("doubt", text))
@@ -290,17 +285,7 @@ def _curves(
             findings.append(Finding("doubt", text))
         line = _sound(known, 1, False)
         curves += [c for c in (line, *fitted[:1]) if c is not None]
-        compared.append(
-            {
-                "symbol": symbol,
-                "method": method,
-                "order": len(fitted[0].terms) - 1 if fitted else None,
-                "given": given is not None,
-                "aicc": {str(order): score for order, (score, _) in scores.items()},
-                "held_out_rms": {str(order): rms for order, (_, rms) in scores.items()},
-            }
-        )
-    return curves, findings, compared
+    return curves, findings
 
 
 def _sound(known: Sequence[Estimate], order: int, normalised: bool) -> Curve | None:
@@ -313,15 +298,10 @@ def _sound(known: Sequence[Estimate], order: int, normalised: bool) -> Curve | N
     return found if least(terms, (low, high)) > 0 else None
 
 
-def _said(campaign: Campaign, steps: Sequence[Step], estimates: Sequence[Estimate], chosen: str) -> Iterator[Finding]:
-    """The convention of F_ce, the difference between paper 1's method and the fit with measured pressure in the
-    convention that both have, and steps that had not come to rest.
+def _said(campaign: Campaign, steps: Sequence[Step], estimates: Sequence[Estimate]) -> Iterator[Finding]:
+    """The difference between paper 1's method and the fit with measured pressure in the convention that both have, and
+    steps that had not come to rest.
     """
-    text = (
-        f"F_ce at {'x = 0' if chosen == 'x0' else 'x_max'} comes first, as the protocol says; the other convention "
-        "is given next to it: S, D and F_ce of one must not be used with those of the other"
-    )
-    yield Finding("note", text)
     if parts := biases(estimates, ("K", "B_c")):
         text = f"{METHODS['x0']} against {DRIVEN}: {', '.join(parts)}; it takes the pressure for a step"
         yield Finding("note", text + ", as it must for B_r, which no second method can tell here")

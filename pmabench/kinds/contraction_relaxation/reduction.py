@@ -54,7 +54,7 @@ from pmabench.kinds.contraction_relaxation.segments import (
     samples_of,
     strokes,
 )
-from pmabench.kinds.contraction_relaxation.values import FEWEST, FORMS, METHOD, Solution, compare_orders, curve, values
+from pmabench.kinds.contraction_relaxation.values import FEWEST, FORMS, METHOD, Solution, best_orders, curve, values
 from pmabench.store.analyses.results import Analysis, Curve, Dropped, Estimate, Finding, withhold, without_value
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -77,8 +77,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     M x'' + B(P) x' + K(P) x + F_c sign(x') = F_ce(P) - F_L (paper 0), fitted to all trials at once over short moving
     segments with the measured pressure; for comparison K by regression over loads and B = K tau of an exponential.
 
-    `options`: `speed` (least speed of the segments [m/s]), `replays` (number), `static` = {"intercept" [N], "slope"
-    [N/Pa]}, F_ce of a static-load study, for K as the only unknown; `regulator`: dead time and lags of the pressure.
+    `options`: `replays` (number), `regulator`: also dead time and lags of the pressure.
     """
     options = options or {}
     campaign, dropped = gather(runs)
@@ -93,7 +92,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     recorded, late = gathered(campaign, pooled.diagnosis)
     campaign, diagnosis = pooled.campaign, pooled.diagnosis
     estimates, curves = estimates_of(campaign, pooled)
-    stepwise = exponentials.compare(campaign, (recorded, late), pooled, estimates, options)
+    stepwise = exponentials.compare(campaign, (recorded, late), pooled, estimates)
     dropped += _unmoved(campaign, pooled)
     response, described = regulator(recorded, *late.values()) if options.get("regulator") else ([], [])
     simulated = free_runs(campaign, pooled, estimates)
@@ -119,7 +118,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         facts={
             **facts,
             **checks.facts(campaign, pooled, simulated),
-            **stepwise.facts,
+            "steps": stepwise.steps,
         },
         refusals=[f"{KIND}: {diagnosis.refusal}"] if diagnosis.refusal else [],
     )
@@ -275,9 +274,8 @@ def estimates_of(campaign: Campaign, pooled: Pooled) -> tuple[list[Estimate], li
     for symbol, orders in ORDERS.items():
         known = [e for e in estimates if e.symbol == symbol and e.value is not None]
         places = [pooled.fit.columns(symbol).start + pooled.fit.at(e.at["pressure"]) for e in known]
-        scores = compare_orders(np.array([e.at["pressure"] for e in known]), np.array([e.value for e in known], float))
-        best = min(scores, key=lambda order: scores[order][0], default=1)
-        for order in sorted({*orders, best}):
+        best = best_orders(np.array([e.at["pressure"] for e in known]), np.array([e.value for e in known], float))
+        for order in sorted({*orders, *best[:1]}):
             curves.append(curve(known, order, pooled.trust, places, normalised=order > max(FORMS)))
     return estimates, [through for through in curves if through is not None]
 

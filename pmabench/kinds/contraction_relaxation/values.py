@@ -6,9 +6,8 @@ Also polynomials through coefficients at several pressures, with interval parts.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from math import hypot, log, sqrt
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +19,7 @@ from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.intervals import Trust
 from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Fit
 from pmabench.kinds.contraction_relaxation.segments import Campaign, Segments
-from pmabench.store.analyses.results import Analysis, Curve, Estimate, Finding, Parts, Source, without_value
+from pmabench.store.analyses.results import Analysis, Curve, Estimate, Parts, Source, without_value
 from pmabench.store.records import Array
 
 METHOD = "measured-pressure"
@@ -41,16 +40,6 @@ QUANTITY = {
 }
 """Symbol -> unit and quantity."""
 NOWHERE: Mapping[str, float] = {}
-
-
-@dataclass(frozen=True)
-class Further:
-    """Results of a method in addition to the primary one."""
-
-    estimates: tuple[Estimate, ...] = ()
-    curves: tuple[Curve, ...] = ()
-    findings: tuple[Finding, ...] = ()
-    facts: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -254,10 +243,10 @@ def normal_of(P: Array) -> tuple[float, float]:
     return float(np.mean(P)), float(np.std(P, ddof=1))
 
 
-def compare_orders(P: Array, y: Array) -> dict[int, tuple[float, float]]:
-    """Order -> corrected Akaike criterion, and rms error of each point predicted by the others [unit of y].
+def best_orders(P: Array, y: Array) -> list[int]:
+    """Orders of polynomials through y (n,) over P (n,), best first by the corrected Akaike criterion.
 
-    Orders from 1 to `MOST_ORDER` for which the criterion is defined: at least order + 4 points.
+    From 1 to `MOST_ORDER`, those for which the criterion is defined: at least order + 4 points.
     """
     floor = EXACT * float(np.max(np.abs(y), initial=0.0))
     n, even = len(P), np.zeros(len(P))
@@ -265,13 +254,9 @@ def compare_orders(P: Array, y: Array) -> dict[int, tuple[float, float]]:
     for order in range(1, min(MOST_ORDER, n - 4) + 1):
         fitted = polynomial(P, y, even, order, normal_of(P))
         z = (P - normal_of(P)[0]) / normal_of(P)[1]
-        design = z[:, None] ** np.arange(order + 1)
-        residual = y - design @ fitted.terms
-        lever = np.sum(design * fitted.rows.T, axis=1)
-        power = max(float(residual @ residual) / n, floor**2)
-        p = order + 2
-        found[order] = aicc(power, n, p), sqrt(float(np.mean((residual / np.maximum(1 - lever, EXACT)) ** 2)))
-    return found
+        residual = y - z[:, None] ** np.arange(order + 1) @ fitted.terms
+        found[order] = aicc(max(float(residual @ residual) / n, floor**2), n, order + 2)
+    return sorted(found, key=found.__getitem__)
 
 
 def aicc(power: float, n: int, p: int) -> float:

@@ -22,7 +22,10 @@ from pmabench.analysis.shared.isometric_lines import SAME, spread
 from pmabench.analysis.shared.samples import STEPS, UNUSABLE_SHARE, NotUsable, ends, noise_of
 from pmabench.analysis.shared.trials import grouped, measured_trials
 from pmabench.base.quantities import show
-from pmabench.store.analyses.results import Dropped, Estimate, Finding, Parts, Trace
+from pmabench.plotting.chart import Chart, Series
+from pmabench.plotting.looks import BLUE
+from pmabench.plotting.pictures import Picture, column, has, numbers, of_charts, unit_of
+from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, RunData, TrialData
 
 FLOW = "flow"
@@ -266,3 +269,18 @@ def _traces(estimates: Sequence[Estimate], cells: Mapping[float, Sequence[Fillin
     columns |= {"volume": np.array([e.value for e in volumes], dtype=np.float64), "half": np.array(halves)}
     quantities = {"contraction": "length", "volume": "volume", "half": "volume"}
     return [Trace("flow-volume", "flow-volume", "volume by mass flow over contraction", columns, quantities)]
+
+
+def volumes(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
+    """Volume by mass flow over contraction."""
+    found = []
+    for trace in (one for one in traces if has(one, "contraction", "volume", "half")):
+        x, V, half = (column(trace, name) for name in ("contraction", "volume", "half"))
+        labels = (unit_of(trace, "contraction").label("contraction x"), unit_of(trace, "volume").label("V"))
+        caption = "Volumes from the mass of air that a slow ramp of pressure lets in, with their 95 % intervals."
+        alt = f"{labels[1]} over {labels[0]}: {len(V)} volumes from {V.min():.4g} to {V.max():.4g}."
+        points = Series("", x, V, BLUE, "o", half)
+        chart = Chart(*labels, (points,), alt=alt)
+        title, table = "Volume by mass flow", numbers([("", trace)])
+        found.append(of_charts([[chart]], title, caption, alt, table, simulated=analysis.simulated))
+    return found

@@ -67,21 +67,6 @@ class Level:
         """Period [s]; nan where unknown."""
         return self.swinging.period if self.swinging else nan
 
-    def to_dict(self) -> dict[str, Any]:
-        """Plain data."""
-        seen = self.swinging
-        return {
-            "gain": self.gain,
-            "t0": self.t0,
-            "t1": self.t1,
-            "log_ratio": None if seen is None else seen.log_ratio,
-            "period": None if seen is None else seen.period,
-            "swings": 0 if seen is None else len(seen.sizes),
-            "last_swing": None if seen is None else float(seen.sizes[-1]),
-            "third_harmonic": self.third,
-            "saturated": self.saturated,
-        }
-
 
 @dataclass(frozen=True)
 class Zero(Pair):
@@ -299,13 +284,8 @@ class LevelsCell(GainCell[TrialFound]):
         return self.estimate(place, method, self.good, pairs, parts, (), alone=ALONE)
 
     def findings(self) -> list[Finding]:
-        """Problems of the trials, and K_u and T_u."""
-        lines = self.said()
-        K_u, T_u = (estimate.value for estimate in self.estimates)
-        if K_u is None or T_u is None:
-            return lines
-        text = f"at {self.where} the loop oscillates at K_u = {show(K_u, 'gain', 4)}, T_u = {T_u:.4g} s"
-        return [*lines, Finding("note", text)]
+        """Problems of the trials."""
+        return self.said()
 
     def traces(self) -> list[Trace]:
         """The oscillation nearest to K_u, and the growth plot."""

@@ -7,9 +7,8 @@ positions that depend on the direction of approach show friction. Uses the trial
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from math import hypot, isfinite, sqrt
-from typing import Any
 
 import numpy as np
 
@@ -93,15 +92,6 @@ class StepsFound(Examined):
     def pair(self) -> Pair:
         """K_u and T_u of its loop, with the scatter of its cycles."""
         return Pair.of(self.loop, self.cycles)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain data; unknown values are None."""
-        known = {name: value for name, value in (("regulator", self.regulator), ("muscle", self.moved)) if value}
-        fact: dict[str, Any] = {name: asdict(value) for name, value in known.items()}
-        if self.friction is not None:
-            slip = {"gap": self.friction.gap, "coulomb": self.friction.balance.coulomb}
-            fact["friction"] = {name: value if isfinite(value) else None for name, value in slip.items()}
-        return {**fact, "cycles": [asdict(cycle) for cycle in self.cycles], "amplitude": self.amplitude}
 
     @property
     def sided(self) -> Departure:

@@ -78,8 +78,6 @@ class RelayLevel:
     """[s]."""
     variation: float
     """Standard deviation of single periods over their mean [1]."""
-    swing: float
-    """Half of the peak-to-peak displacement, a [m]."""
     described: Pair
     """4 d / (pi sqrt(a^2 - h^2)) and the period; nan where the swing is not above the hysteresis."""
     loop: Loop | None = None
@@ -97,15 +95,6 @@ class RelayLevel:
     def by(self, method: str) -> Pair:
         """K_u and T_u by the fit, or by the describing function."""
         return self.fitted if method == FITTED else self.described
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain data; unknown values are None."""
-        names = ("amplitude", "hysteresis", "t0", "t1", "period", "variation", "swing", "coulomb", "unlike", "shape",
-                 "left")  # fmt: skip
-        K_u, T_u = self.fitted.value
-        values = {name: float(getattr(self, name)) for name in names}
-        values |= {"K_df": self.described.value[0], "K_u": K_u, "T_u": T_u}
-        return {name: value if isfinite(value) else None for name, value in values.items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,7 +209,7 @@ def _measure(
         K_df = 4 * d / (pi * sqrt(swing**2 - h**2))
         half_df = K_df * quantile * float(np.std(swings, ddof=1)) * swing / (swing**2 - h**2) if len(swings) > 1 else 0
     found = RelayLevel(
-        d, h, float(ups[0]), float(ups[-1]), period, float(np.std(periods, ddof=1)) / period, swing,
+        d, h, float(ups[0]), float(ups[-1]), period, float(np.std(periods, ddof=1)) / period,
         Pair((K_df, period), (half_df, quantile * float(np.std(periods, ddof=1)))),
     )  # fmt: skip
     if P is None:

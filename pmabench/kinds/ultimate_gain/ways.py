@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import nan
@@ -208,10 +208,6 @@ class GainCell(ABC, Generic[Found]):
             {name: COLUMNS[name] for name in columns},
             marks,
         )
-
-    def facts(self, levels: Callable[[Found], Iterable[Any]]) -> list[dict[str, Any]]:
-        """Facts of every trial as plain data."""
-        return [{"trial": one.trial.name, **level.to_dict()} for one in self.members for level in levels(one.found)]
 
     def by_clocks(self, place: int) -> float:
         """Change of K_u (`place` 0) or T_u (1) by clock errors: the time between pressure and displacement, either
