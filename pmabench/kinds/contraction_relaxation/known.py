@@ -378,7 +378,7 @@ def known_after(
 def _measured(cells: Sequence[Cell], goals: Sequence[Goal], pooled: Pooled) -> Known:
     """The same from a fit."""
     campaign = pooled.campaign
-    estimates, _ = estimates_of(campaign, pooled)
+    estimates, _ = estimates_of(pooled)
     names = [(e.symbol, e.at.get("pressure", 0.0)) for e in estimates]
     reported = dict(zip(names, withheld(estimates, pooled.diagnosis), strict=True))
     used = np.unique(pooled.segments.trial)

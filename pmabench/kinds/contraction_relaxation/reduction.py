@@ -54,7 +54,7 @@ from pmabench.kinds.contraction_relaxation.segments import (
     samples_of,
     strokes,
 )
-from pmabench.kinds.contraction_relaxation.values import FEWEST, FORMS, METHOD, Solution, best_orders, curve, values
+from pmabench.kinds.contraction_relaxation.values import FEWEST, FORMS, METHOD, best_orders, curve, values
 from pmabench.store.analyses.results import Analysis, Curve, Dropped, Estimate, Finding, withhold, without_value
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -91,7 +91,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         return _without_fit(runs, campaign, dropped, reason, {**facts, "trials_used": 0})
     recorded, late = gathered(campaign, pooled.diagnosis)
     campaign, diagnosis = pooled.campaign, pooled.diagnosis
-    estimates, curves = estimates_of(campaign, pooled)
+    estimates, curves = estimates_of(pooled)
     stepwise = exponentials.compare(campaign, (recorded, late), pooled, estimates)
     dropped += _unmoved(campaign, pooled)
     response, described = regulator(recorded, *late.values()) if options.get("regulator") else ([], [])
@@ -156,12 +156,11 @@ def withheld(estimates: Sequence[Estimate], diagnosis: Diagnosis) -> list[Estima
     return result
 
 
-def segments_like(campaign: Campaign, options: Mapping[str, Any]) -> tuple[Array, Cut]:
+def segments_like(campaign: Campaign) -> tuple[Array, Cut]:
     """First knots of the fit [Pa], and the function that cuts samples into segments within their range."""
-    gate = Gate(speed=float(options.get("speed", Gate.speed)))
     commanded = np.unique([c.value for trial in campaign.trials for c in trial.commands if c.output == "pressure"])
     knots = first_knots(np.array(campaign.tested), commanded)
-    return knots, lambda samples: cut(samples, campaign.rate, gate).within(knots)
+    return knots, lambda samples: cut(samples, campaign.rate, Gate()).within(knots)
 
 
 def _replays(
@@ -185,7 +184,7 @@ def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
     """The pooled fit of the corrected campaign with its uncertainty; None where nothing moves; NotUsable where the
     fitted muscle does not move in the replays.
     """
-    knots, segments_of = segments_like(recorded, options)
+    knots, segments_of = segments_like(recorded)
     as_recorded = segments_of(recorded.samples)
     if len(as_recorded) < 2 * FEWEST:
         return None
@@ -265,11 +264,9 @@ def _moving(campaign: Campaign, segments: Segments) -> list[tuple[Samples, slice
     return pieces
 
 
-def estimates_of(campaign: Campaign, pooled: Pooled) -> tuple[list[Estimate], list[Curve]]:
+def estimates_of(pooled: Pooled) -> tuple[list[Estimate], list[Curve]]:
     """The primary method's coefficients at the tested pressures, and curves through them."""
-    found = pooled.diagnosis
-    solution = Solution(campaign, pooled.segments, pooled.fit, pooled.trust, METHOD, found.note, found.stiffness_is)
-    estimates = values(solution)
+    estimates = values(pooled)
     curves = []
     for symbol, orders in ORDERS.items():
         known = [e for e in estimates if e.symbol == symbol and e.value is not None]

@@ -5,7 +5,7 @@ Also polynomials through coefficients at several pressures, with interval parts.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import hypot, log, sqrt
 
@@ -16,9 +16,9 @@ from pmabench.analysis.shared import skew, student
 from pmabench.analysis.shared.calibration import sentences
 from pmabench.analysis.verdict.agreement import Offer, anywhere, at_pressures, everywhere, exactly, straight, weighted
 from pmabench.base.quantities import show
-from pmabench.kinds.contraction_relaxation.intervals import Trust
-from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Fit
-from pmabench.kinds.contraction_relaxation.segments import Campaign, Segments
+from pmabench.kinds.contraction_relaxation.intervals import Pooled, Trust
+from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS
+from pmabench.kinds.contraction_relaxation.segments import Segments
 from pmabench.store.analyses.results import Analysis, Curve, Estimate, Parts, Source, without_value
 from pmabench.store.records import Array
 
@@ -42,25 +42,11 @@ QUANTITY = {
 NOWHERE: Mapping[str, float] = {}
 
 
-@dataclass(frozen=True, eq=False)
-class Solution:
-    """A fit and what is needed to evaluate it."""
-
-    campaign: Campaign
-    segments: Segments
-    fit: Fit
-    trust: Trust
-    method: str
-    note: str = ""
-    stiffness_is: Callable[[float], str] = lambda P: ""
-    """Pressure [Pa] -> which K it is, in words; empty where there is only one."""
-
-
-def values(solution: Solution) -> list[Estimate]:
+def values(pooled: Pooled) -> list[Estimate]:
     """F_ce [N], K [N/m], B_c, B_r [N.s/m] at every tested pressure, and F_c [N]; None with a note where there is no
     value.
     """
-    found = [_at(solution, symbol, P) for symbol in SYMBOLS for P in solution.campaign.tested]
+    found = [_at(pooled, symbol, P) for symbol in SYMBOLS for P in pooled.campaign.tested]
     stiff = {e.at["pressure"] for e in found if e.symbol == "K" and e.value is not None}
     found = [
         without_value(e, OPEN_FORCE)
@@ -68,10 +54,10 @@ def values(solution: Solution) -> list[Estimate]:
         else e
         for e in found
     ]
-    friction = _blank(solution, "F_c", np.ones(len(solution.segments), bool))
-    if solution.fit.friction:
-        row = solution.fit.row("F_c", 0.0)
-        friction = _given(solution, friction, row, solution.trust.budget(row))
+    friction = _blank(pooled, "F_c", np.ones(len(pooled.segments), bool))
+    if pooled.fit.friction:
+        row = pooled.fit.row("F_c", 0.0)
+        friction = _given(pooled, friction, row, pooled.trust.budget(row))
     else:
         note = "not identifiable: the samples move one way only, and F_ce carries the friction"
         friction = replace(friction, note=note)
@@ -116,38 +102,38 @@ def near(segments: Segments, knots: Array, symbol: str, P: float) -> NDArray[np.
     return np.asarray(found & ((segments.way > 0) == (symbol == "B_c")) if symbol in ("B_c", "B_r") else found)
 
 
-def _blank(solution: Solution, symbol: str, rows: NDArray[np.bool_], at: Mapping[str, float] = NOWHERE) -> Estimate:
+def _blank(pooled: Pooled, symbol: str, rows: NDArray[np.bool_], at: Mapping[str, float] = NOWHERE) -> Estimate:
     """An estimate, without a value yet, of a coefficient that these rows of the segments determine."""
-    names = tuple(solution.campaign.name(int(number)) for number in np.unique(solution.segments.trial[rows]))
-    note = sentences(solution.note, solution.stiffness_is(at["pressure"]) if symbol == "K" else "")
-    return Estimate(symbol, None, *QUANTITY[symbol], solution.method, at, n=len(names), note=note, trials=names)
+    names = tuple(pooled.campaign.name(int(number)) for number in np.unique(pooled.segments.trial[rows]))
+    note = sentences(pooled.diagnosis.note, pooled.diagnosis.stiffness_is(at["pressure"]) if symbol == "K" else "")
+    return Estimate(symbol, None, *QUANTITY[symbol], METHOD, at, n=len(names), note=note, trials=names)
 
 
-def _given(solution: Solution, blank: Estimate, row: Array, known: tuple[Parts, float, tuple[Source, ...]]) -> Estimate:
+def _given(pooled: Pooled, blank: Estimate, row: Array, known: tuple[Parts, float, tuple[Source, ...]]) -> Estimate:
     """A linear combination of the unknowns with its parts, bias and budget; no value where the clock error is too
     large.
     """
     parts, bias, budget = known
-    value = float(row @ solution.fit.theta) - bias
+    value = float(row @ pooled.fit.theta) - bias
     found = replace(blank, value=value, parts=parts, bias=bias, corrected=True, budget=budget)
-    return skew.settled(found, "the channels", solution.campaign.skew)
+    return skew.settled(found, "the channels", pooled.campaign.skew)
 
 
-def _at(solution: Solution, symbol: str, P: float) -> Estimate:
+def _at(pooled: Pooled, symbol: str, P: float) -> Estimate:
     """One coefficient at one pressure [Pa]; without a value and with a note where it is not identifiable."""
-    solved = solution.fit
-    rows = near(solution.segments, solved.knots, symbol, P)
-    blank = _blank(solution, symbol, rows, {"pressure": P})
+    solved = pooled.fit
+    rows = near(pooled.segments, solved.knots, symbol, P)
+    blank = _blank(pooled, symbol, rows, {"pressure": P})
     moving = {"B_c": "contracting", "B_r": "relaxing"}.get(symbol, "moving")
     if rows.sum() < FEWEST:
         return replace(blank, note=f"not identifiable: no {moving} samples near this pressure")
     row = solved.row(symbol, P)
     value = float(row @ solved.theta)
-    known = solution.trust.budget(row, NUMERICS * abs(value))
+    known = pooled.trust.budget(row, NUMERICS * abs(value))
     size = float(np.median(np.abs(solved.values(symbol, solved.knots))))
     if (known[0].repeats or 0.0) > WIDE * max(abs(value), size):
         return replace(blank, note=f"not identifiable: the {moving} samples near this pressure leave it open")
-    return _given(solution, blank, row, known)
+    return _given(pooled, blank, row, known)
 
 
 def offers(analysis: Analysis) -> Iterator[Offer]:

@@ -91,7 +91,7 @@ def _way_of(trial: TrialData) -> tuple[str, str]:
     way = "open_loop" if steps_of(trial) else "levels" if search_of(trial) is None else "relay"
     if way == "levels" and _search(trial) is None:
         return way, NO_LEVELS
-    needed = ("displacement", "pressure") if way == "open_loop" else ("displacement",)
+    needed = ("displacement",) if way == "levels" else ("displacement", "pressure")
     return way, next((f"the {name} is not recorded" for name in needed if name not in trial.channels), "")
 
 

@@ -23,7 +23,6 @@ from pmabench.store.records import Array, RunData, TrialData
 
 SYMBOLS = (("K_u", "Pa/m", "gain"), ("T_u", "s", "time"))
 """Symbol, unit and quantity that every method gives."""
-DESCRIBED = "relay-describing-function"
 LEAST_DEAD = 0.1
 """Smallest remaining share of a dead time after correction for the time between clocks."""
 COLUMNS = {"t": "time", "displacement": "length", "model": "length", "pressure": "pressure",
@@ -263,10 +262,7 @@ APART = {"K_u": 0.25, "T_u": 0.1}
 
 
 def findings(estimates: Sequence[Estimate]) -> list[Finding]:
-    """Differences of the methods for K_u and T_u at one operating point.
-
-    The describing function is reported but not counted: even without friction its K_u is too low by a fifth or more.
-    """
+    """Differences of the methods for K_u and T_u at one operating point."""
     lines = []
     for symbol in ("K_u", "T_u"):
         known = [e for e in estimates if e.symbol == symbol and e.value]
@@ -275,13 +271,9 @@ def findings(estimates: Sequence[Estimate]) -> list[Finding]:
                 continue
             where = show(found[0].at["setpoint"], "length") if "setpoint" in found[0].at else "one operating point"
             values = ", ".join(f"{show(e.value or 0.0, e.quantity, 4)} ({e.method})" for e in found)
-            exact = [e.value for e in found if e.value and e.method != DESCRIBED]
-            text = f"{symbol} at {where}: {values}"
-            if len(exact) < 2:
-                lines.append(Finding("note", text))
-                continue
+            exact = [e.value for e in found if e.value]
             apart = max(exact) / min(exact) - 1
-            text += f"; the ways {'but the describing function ' * (len(exact) < len(found))}are {apart:.1%} apart"
+            text = f"{symbol} at {where}: {values}; the ways are {apart:.1%} apart"
             if apart > APART[symbol]:
                 text += ", more than without friction: stiction, or a muscle that bends within the swings"
             lines.append(Finding("doubt" if apart > APART[symbol] else "note", text))
