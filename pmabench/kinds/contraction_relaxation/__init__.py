@@ -5,7 +5,7 @@
 - whether the data have the form of the fit, why not, and what could hide in it: `diagnosis`; other checks of the fit,
   its words and overlays: `checks`
 - the way of the papers, dead times: `exponentials`; the regulator, and how late its gauge is: `bandwidth`
-- by paper 1: `paper1`, made of `paper1_steps`
+- by paper 1: `paper1`
 - further trials: `known`, what is known so far and what they would add; `next_trial`, the choice
 - protocol files: `protocol`; one trial on the display: `reduction`
 """
@@ -83,7 +83,7 @@ PAPER_1 = Kind(
     moves="displacement",
     word="contraction",
     offers="pmabench.kinds.contraction_relaxation.values:by_paper_1",
-    figures={"step-overlay": "pmabench.kinds.contraction_relaxation.paper1_steps:step_overlays"},
+    figures={"step-overlay": "pmabench.kinds.contraction_relaxation.paper1:step_overlays"},
 )
 KIND = Kind(
     name="contraction-relaxation",

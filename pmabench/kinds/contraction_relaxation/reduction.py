@@ -346,7 +346,7 @@ def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Qu
 
 def _single_step(run: RunData, trial: TrialData) -> Found:
     """x_max and tau of one of paper 1's steps; K of a contraction, with F_ce from the braid."""
-    from pmabench.kinds.contraction_relaxation.paper1_steps import STILL, Braid, read  # 50 MB with all models
+    from pmabench.kinds.contraction_relaxation.paper1 import STILL, Braid, read  # 50 MB with all models
 
     asked = (run.plan.get("settings") or {}).get("reduction") or {}
     step = read(samples_of(run, trial, 0), trial)

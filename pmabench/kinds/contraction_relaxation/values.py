@@ -5,7 +5,7 @@ Also polynomials through coefficients at several pressures, with interval parts.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import hypot, log, sqrt
 
@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 
 from pmabench.analysis.shared import skew, student
 from pmabench.analysis.shared.calibration import sentences
+from pmabench.analysis.shared.samples import Samples
 from pmabench.analysis.verdict.agreement import Offer, anywhere, at_pressures, everywhere, exactly, straight, weighted
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.intervals import Pooled, Trust
-from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS
-from pmabench.kinds.contraction_relaxation.segments import Segments
+from pmabench.kinds.contraction_relaxation.pooled import FLOOR, SYMBOLS, design_of, first_knots, least_squares, prior_of
+from pmabench.kinds.contraction_relaxation.segments import Gate, Segments, cut
 from pmabench.store.analyses.results import Analysis, Curve, Estimate, Parts, Source, without_value
 from pmabench.store.records import Array
 
@@ -102,6 +103,35 @@ def near(segments: Segments, knots: Array, symbol: str, P: float) -> NDArray[np.
     return np.asarray(found & ((segments.way > 0) == (symbol == "B_c")) if symbol in ("B_c", "B_r") else found)
 
 
+def fit_known_force(
+    samples: Sequence[Samples], rate: float, tested: Array, force: Callable[[Array], Array]
+) -> dict[float, tuple[float, float]]:
+    """K [N/m] and B_c [N.s/m] at those tested pressures [Pa] near which samples move, from contractions alone.
+
+    `force` gives F_ce [N] at pressures [Pa]. Friction, which has one direction here, acts like a smaller F_ce and is
+    not separated.
+    """
+    knots = first_knots(tested, np.empty(0))
+    segments = cut(samples, rate, Gate()).within(knots)
+    segments = segments.where(segments.way > 0)
+    if len(segments) < FEWEST:
+        return {}
+    design = design_of(segments, knots)
+    k = len(knots)
+    wanted = slice(SYMBOLS.index("K") * k, (SYMBOLS.index("B_c") + 1) * k)
+    known = force(segments.P) @ segments.weights
+    noise = FLOOR * float(np.sqrt(np.mean(known**2)))
+    prior = prior_of(segments, knots, noise)
+    rows = prior[np.any(prior[:, wanted] != 0, axis=1)][:, wanted]
+    theta = least_squares(design[:, wanted], segments.force - known, rows)
+    found = {}
+    for P in tested:
+        knot = int(np.argmin(np.abs(knots - P)))
+        if near(segments, knots, "K", float(P)).sum() >= FEWEST:
+            found[float(P)] = float(theta[knot]), float(theta[k + knot])
+    return found
+
+
 def _blank(pooled: Pooled, symbol: str, rows: NDArray[np.bool_], at: Mapping[str, float] = NOWHERE) -> Estimate:
     """An estimate, without a value yet, of a coefficient that these rows of the segments determine."""
     names = tuple(pooled.campaign.name(int(number)) for number in np.unique(pooled.segments.trial[rows]))
@@ -183,7 +213,7 @@ MOST_ORDER = 6
 EXACT = 1e-9
 """Residual, as a share of the largest value, below which it counts as zero when orders are compared."""
 FORMS = {1: "line", 2: "quadratic"}
-FLOOR = 5e-3
+LEAST_ERROR = 5e-3
 """Smallest error for the weight of a point of a curve, as a share of the largest value, so that no point dominates."""
 POWERS = (("", ""), ("/Pa", " per pressure"), ("/Pa2", " per pressure squared"))
 """Suffixes of unit and quantity for the powers of a curve over pressure."""
@@ -203,12 +233,12 @@ class Polynomial:
 
 
 def polynomial(P: Array, y: Array, half: Array, order: int, normal: tuple[float, float] | None = None) -> Polynomial:
-    """Fit over pressures P (n,) [Pa], weighted by the half widths (n,) with at least `FLOOR`.
+    """Fit over pressures P (n,) [Pa], weighted by the half widths (n,) with at least `LEAST_ERROR`.
 
     The terms are powers of P, or with `normal` = (centre, scale) [Pa] of z = (P - centre) / scale.
     """
     centre, scale = normal or (0.0, float(np.max(np.abs(P))))
-    weight = 1.0 / np.hypot(half, FLOOR * float(np.max(np.abs(y))))
+    weight = 1.0 / np.hypot(half, LEAST_ERROR * float(np.max(np.abs(y))))
     design = ((P[:, None] - centre) / scale) ** np.arange(order + 1)
     inverse = np.linalg.inv((design * weight[:, None] ** 2).T @ design)
     rows = inverse @ (design * weight[:, None] ** 2).T
