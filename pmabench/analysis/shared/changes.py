@@ -290,27 +290,27 @@ FEWEST_SAMPLES = 20
 
 @dataclass(frozen=True, eq=False)
 class Followed:
-    """How the displacement follows its command in a cycle, or a half, of a trial."""
+    """Displacement of a cycle, or of half a trial, compared with its command."""
 
     trial: TrialData
     t: float
-    """Its begin [s]."""
+    """Its start [s]."""
     centre: float
     """Mean of the command [m]."""
     place: float
     """Displacement minus command there [m]."""
     rest: float
-    """What it differs from this by, rms [m]: more where it changes in between."""
+    """Rms residual of that comparison [m]; it is large where the sensor changed meanwhile."""
     scale: float = nan
     """Share of the commanded travel that is measured [1]; nan where nothing travelled."""
     open: float = 0.0
-    """What the lag of the drive leaves open of it [1]."""
+    """Uncertainty of `scale` by the lag of the drive [1]."""
     reach: float = 0.0
     """Half of the commanded travel [m]."""
 
     @classmethod
     def all_of(cls, trial: TrialData) -> Iterator[Followed]:
-        """Of one trial."""
+        """The comparisons of all cycles of a trial; of both halves where there are no cycles."""
         if trial.status != "finished" or not {MOVED, SENT} <= set(trial.channels):
             return
         x, sent = trial.channels[MOVED], trial.channels[SENT]
@@ -325,7 +325,7 @@ class Followed:
 
     @classmethod
     def of(cls, trial: TrialData, t: Array, x: Array, sent: Array, speed: Array) -> Followed | None:
-        """Of a part of a trial; None where the command is that of something else."""
+        """The comparison for samples of a trial, shape (n,); None where the command is that of something else."""
         centre, reach = float(sent.mean()), 0.5 * float(np.ptp(sent))
         if 2 * reach < TRAVEL:
             return cls(trial, float(t[0]), centre, float(np.median(x - sent)), float(np.std(x - sent)))
@@ -386,13 +386,13 @@ def followed(run: RunData) -> Change | None:
 
 
 def _slope(every: Sequence[Followed]) -> float:
-    """Change of what the displacement is off its command with the place, by the trials at three places and more."""
+    """Slope over the place of the difference between displacement and command [1]; 0 with fewer than three places."""
     centres, places = np.array([(one.centre, one.place) for one in every]).T
     return float(np.polyfit(centres, places, 1)[0]) if len(set(np.round(centres / TRAVEL))) > 2 else 0.0
 
 
 def _usual(values: Sequence[float]) -> float:
-    """Usual difference between successive values; a step changes two of them, where it is in the middle of one."""
+    """Median difference of successive values without the two largest: a step within a value changes two of them."""
     apart = np.sort(np.abs(np.diff(values)))[:-2]
     return float(np.median(apart)) if len(apart) else 0.0
 
@@ -404,7 +404,7 @@ def _since(t: Array, off: Array, size: Array) -> float:
 
 
 def _constant(run: RunData, every: Sequence[Followed], gain: float, steady: Followed) -> Change | None:
-    """A change of size 0, that describes a displacement which differs from its command in all trials alike."""
+    """A change of size 0 with the sentence on a displacement that differs from its command in all trials alike."""
     scales = [one.scale for one in every if isfinite(one.scale) and one.open < FAR] or [steady.scale]
     scale, place = float(np.median(scales)) - 1, float(np.median([one.place for one in every]))
     said = [f"{scale:+.1%} of the way that the drive was sent"] if abs(scale) > max(FAR, gain) else []

@@ -200,7 +200,7 @@ def _estimate(
 
 
 def _calibrated(e: Estimate, group: Sequence[Step], braid: Braid, at: str, scales: Scales, factor: float) -> Estimate:
-    """The estimate with the part of the channels' calibrations: d S / d P and d S / d x, times `factor`."""
+    """The estimate with a calibration part, from dS/dP and dS/dx times `factor`."""
     P, x, load = (float(np.mean([getattr(s, name) for s in group])) for name in ("held", "stroke", "load"))
     by_P = factor * (braid.stiffness(P * 1.001, x, load, at) - braid.stiffness(P * 0.999, x, load, at)) / (0.002 * P)
     by_x = factor * (braid.stiffness(P, x * 1.001, load, at) - braid.stiffness(P, x * 0.999, load, at)) / 0.002

@@ -29,7 +29,9 @@ EXCESS = 1.5
 GAIN = 0.03
 """Least relative fall of the sum of squares for which an added knot is kept."""
 CHANCE = 8.0
-"""The same in units of the fall expected by chance, which matters for few segments, since the best place is taken."""
+"""The same fall in multiples of that expected by chance. It decides where segments are few: the best of several places
+for a knot is taken.
+"""
 FEWEST_KNOTS = 3
 """Fewest knots without those that only halve a stretch."""
 MOST_KNOTS = 8

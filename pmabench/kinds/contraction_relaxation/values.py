@@ -297,7 +297,7 @@ def curve(
 ) -> Curve | None:
     """A polynomial over the estimates' pressures; None with fewer than `order` + 2 of them.
 
-    As many terms as points go through all of them, and nothing shows how far the curve is off between. With `trust` and
+    A curve with as many terms as points would pass through all of them and leave no residual. With `trust` and
     `places`, the indices of the estimates in its fit, correlations between them count; else they are taken as
     independent. The scatter of the points about the curve is the method part. `normalised`: the terms are those of
     z = (P - centre) / scale, with the unit of the coefficient (paper 1 eqs. 17-20).

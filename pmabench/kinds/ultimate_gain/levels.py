@@ -70,7 +70,7 @@ class Level:
 
 @dataclass(frozen=True)
 class Zero(Pair):
-    """Gain without growth; half widths from the scatter about the line."""
+    """Gain at which swings neither grow nor die out, and its period; half widths from the scatter about the line."""
 
     line: tuple[float, float] = (nan, nan)
     """Slope [m/Pa] and value at gain 0 of ln ratio, at the set-point."""
