@@ -72,7 +72,6 @@ KIND = Kind(
     methods=METHODS,
     figures={
         "isometric": "pmabench.plotting.motion:isometric",
-        "flow-volume": "pmabench.kinds.isometric_pressurisation.flow:volumes",
         "section": "pmabench.kinds.isometric_pressurisation.braid:pictures",
     },
     front={"isometric": "pmabench.plotting.motion:isometric"},

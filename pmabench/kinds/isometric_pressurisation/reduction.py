@@ -69,7 +69,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     given = {**sections.given_of(runs[0].manifest.get("specimen") if runs else None), **options}
     found = _found(groups, given, scales)
     estimates, cells = _weighed(found, groups, given, scales, opened), found.cells
-    volumes, words, volume_traces, without = by_flow(runs, scales)
+    volumes, words, without = by_flow(runs, scales)
     estimates += volumes
     findings = [
         *curve.of_threshold([e for e in estimates if e.symbol == "p_0"], given),
@@ -91,7 +91,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         curves=_curves(cells, estimates),
         dropped=[*dropped, *without],
         findings=findings,
-        traces=[*_traces(cells, found.through, given), *volume_traces],
+        traces=_traces(cells, found.through, given),
         facts={
             "options": dict(options),
             "specimen": given,

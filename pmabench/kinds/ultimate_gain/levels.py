@@ -13,7 +13,6 @@ from math import hypot, log, nan, sqrt
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pmabench.analysis.shared import student
 from pmabench.analysis.shared.samples import noise_of
@@ -45,8 +44,6 @@ class Level:
     """K_p [Pa/m]."""
     t0: float
     t1: float
-    aim: float
-    """Set-point with kick [m]."""
     swinging: Swinging | None
     """None with fewer than four visible swings."""
     saturated: bool
@@ -84,8 +81,6 @@ class TrialFound(Examined):
     used: tuple[Level, ...]
     nearest: Level | None
     """The level with the smallest |ln ratio|."""
-    bias: float
-    """Bias of the command [Pa]."""
     zero: Zero = Zero()
     friction: float = 0.0
     """Relative shift of K_u by growth that depends on the swing [1]."""
@@ -99,12 +94,11 @@ class TrialFound(Examined):
 def examine(trial: TrialData, search: Mapping[str, Any]) -> TrialFound:
     """K_u and T_u of one trial, or why there are none. `search` is the record of the law `gain-steps`."""
     levels = tuple(_measure(trial, level, search) for level in search["levels"])
-    bias = float(search.get("bias", 0.0))
     seen = [level for level in levels if level.swinging is not None and abs(level.log_ratio) < STEEPEST]
     nearest = min(seen, key=lambda level: abs(level.log_ratio)) if seen else None
     ended = str(search.get("ended", ""))
     if nearest is None or len(seen) < FEWEST_LEVELS:
-        return TrialFound(levels, tuple(seen), nearest, bias, refused=(_too_few(levels, seen, nearest, ended),))
+        return TrialFound(levels, tuple(seen), nearest, refused=(_too_few(levels, seen, nearest, ended),))
     used = seen[-MOST_LEVELS:]
     measured = [(level.gain, level.log_ratio, level.period, level.mean) for level in used]
     gains, ratios, periods, places = np.array(measured).T
@@ -115,9 +109,9 @@ def examine(trial: TrialData, search: Mapping[str, Any]) -> TrialFound:
     if not (zero.line[0] > 0 and 0.5 * gains.min() < zero.value[0] < 1.2 * gains.max()):
         refused.append("growth does not rise with gain, so that no gain can be named at which it is 0")
     if refused:
-        return TrialFound(levels, tuple(used), nearest, bias, zero, friction=friction, refused=tuple(refused))
+        return TrialFound(levels, tuple(used), nearest, zero, friction=friction, refused=tuple(refused))
     doubts = _doubts(nearest, ratios, friction)
-    return TrialFound(levels, tuple(used), nearest, bias, zero, abs(friction), doubts=tuple(doubts))
+    return TrialFound(levels, tuple(used), nearest, zero, abs(friction), doubts=tuple(doubts))
 
 
 def _measure(trial: TrialData, level: Mapping[str, Any], search: Mapping[str, Any]) -> Level:
@@ -140,7 +134,7 @@ def _measure(trial: TrialData, level: Mapping[str, Any], search: Mapping[str, An
         third_noise = noise * sqrt(2.0 / late.sum()) / size
         mean = float(centre)
     t0, t1 = float(level["t0"]), float(level["t1"])
-    return Level(gain, t0, t1, aim, swinging, saturated, third, third_noise, mean)
+    return Level(gain, t0, t1, swinging, saturated, third, third_noise, mean)
 
 
 def _zero(gains: Array, ratios: Array, periods: Array, off: Array) -> Zero:
@@ -300,7 +294,6 @@ class LevelsCell(GainCell[TrialFound]):
         columns: dict[str, Array] = {
             "t": trial.t[mask] - trial.t[mask][0],
             "displacement": trial.channels["displacement"][mask],
-            "pressure_command": _command(trial, found, mask),
         }
         marks = {} if K_u is None else {"K_u": K_u}
         setpoint = {"setpoint": self.at.get("setpoint", 0.0)}
@@ -318,15 +311,3 @@ class LevelsCell(GainCell[TrialFound]):
             }
             traces.append(self.trace("growth", "Growth per half period", columns, marks))
         return traces
-
-
-def _command(trial: TrialData, found: TrialFound, mask: NDArray[np.bool_]) -> Array:
-    """The command [Pa], as recorded, else worked out from the law u = bias + K_p (aim - x) of each level."""
-    if "pressure_command" in trial.channels:
-        return np.asarray(trial.channels["pressure_command"][mask])
-    t, x = trial.t[mask], trial.channels["displacement"][mask]
-    command = np.full(len(t), np.nan)
-    for level in found.levels:
-        at = (t >= level.t0) & (t <= level.t1)
-        command[at] = found.bias + level.gain * (level.aim - x[at])
-    return command
