@@ -1,4 +1,4 @@
-"""The papers' step-exponential method: K, F_ce and B = K tau from exponentials; dead times and bandwidth.
+"""The papers' step-exponential method: K, F_ce and B = K tau from exponentials; dead times.
 
 It assumes a pressure step, which biases B where the regulator is slow; kept for comparison. Uses the trials and the
 primary method's results, and does not change the latter.
@@ -20,8 +20,7 @@ from pmabench.analysis.shared.samples import KINDS, Samples, dead_times
 from pmabench.analysis.shared.student import half_width, mean_over
 from pmabench.analysis.shared.trials import grouped
 from pmabench.base.quantities import show
-from pmabench.kinds.contraction_relaxation import bandwidth
-from pmabench.kinds.contraction_relaxation.bandwidth import Late, responses
+from pmabench.kinds.contraction_relaxation.bandwidth import Recorded
 from pmabench.kinds.contraction_relaxation.diagnosis.hiding import GAIN, ZERO
 from pmabench.kinds.contraction_relaxation.intervals import AT_REST, CORRECTED, Pooled
 from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS
@@ -191,7 +190,7 @@ class _Raw:
 
 @dataclass(frozen=True)
 class Stepwise:
-    """Results of the papers' method, with dead times and bandwidths."""
+    """Results of the papers' method."""
 
     estimates: tuple[Estimate, ...]
     curves: tuple[Curve, ...]
@@ -200,15 +199,13 @@ class Stepwise:
     """The fitted steps as plain data [SI]."""
 
 
-def compare(
-    campaign: Campaign, gathered: tuple[Campaign, Mapping[str, Late]], pooled: Pooled, found: Sequence[Estimate]
-) -> Stepwise:
-    """The papers' estimates and the dead times; `found` are the primary method's, `gathered` as of `bandwidth`."""
-    moved = set(pooled.segments.trial.tolist())
+def compare(pooled: Pooled, found: Sequence[Estimate]) -> Stepwise:
+    """The papers' estimates compared with those of the primary method, `found`."""
+    campaign, moved = pooled.campaign, np.unique(pooled.segments.trial).tolist()
     seen = {cause.name for cause in pooled.trust.causes if cause.seen} & {GAIN, ZERO, AT_REST.format("displacement")}
     seen |= {CORRECTED for one in pooled.diagnosis.of_cell if one.key == "gain"}
     scales = Scales.of(campaign.runs)
-    steps = steps_of(((campaign.samples[n], campaign.trials[n]) for n in sorted(moved)), Gate.lift)
+    steps = steps_of(((campaign.samples[n], campaign.trials[n]) for n in moved), Gate.lift)
     at_each = {(e.symbol, e.at["pressure"]): e for e in found if "pressure" in e.at}
     reference = {key: e for key, e in at_each.items() if e.value is not None}
     raw = [
@@ -234,17 +231,8 @@ def compare(
         for step in steps
     ]
     ordered = sorted(estimates, key=lambda e: (*SYMBOLS, "tau_c", "tau_r").index(e.symbol))
-    recorded, late = gathered
-    regulator = {P: fitted for P, (fitted, _) in responses(recorded, late["pressure"]).items()}
-    widths = bandwidth.estimates(campaign, found, regulator)
-    of_motion = late["displacement"]
-    of_pressure = bandwidth.behind(regulator.values(), late["pressure"])
-    behind = {"pressure": of_pressure, "motion": (of_motion.found, of_motion.lag)}
     return Stepwise(
-        (*ordered, *_dead_times(recorded, moved, behind), *widths),
-        tuple(through for through in curves if through is not None),
-        _findings(estimates),
-        table,
+        tuple(ordered), tuple(through for through in curves if through is not None), _findings(estimates), table
     )
 
 
@@ -348,14 +336,13 @@ def _spread(over: str, ends: tuple[float, float]) -> str:
     return f"mean over {over}, from {low} to {high}: the method part reaches to the farther end"
 
 
-def _dead_times(campaign: Campaign, moved: set[int], behind: Mapping[str, tuple[float, float]]) -> list[Estimate]:
+def onsets(recorded: Recorded, pooled: Pooled) -> list[Estimate]:
     """Dead times of the contractions, per pressure and over all; those of motion only from trials that did move.
-
-    `behind`: how late the onsets of pressure and motion are in the samples, and what is open of that [s].
 
     The motion waits for the pressure to exceed what the load asks for: loads are unlike conditions for it, pressures
     are for all of them. The method part reaches to the farthest condition: a mean over them is not that of one.
     """
+    campaign, behind, moved = recorded.campaign, recorded.behind, set(pooled.segments.trial.tolist())
     found: list[tuple[str, int, float]] = []
     for number, (trial, samples) in enumerate(zip(campaign.trials, campaign.samples, strict=True)):
         command = next((c for c in trial.commands if c.output == "pressure" and c.phase == "contract"), None)

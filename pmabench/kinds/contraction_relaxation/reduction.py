@@ -20,8 +20,8 @@ from pmabench.analysis.shared.student import half_width
 from pmabench.analysis.shared.trials import reference_findings
 from pmabench.analysis.trial import DRIFT, Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
-from pmabench.kinds.contraction_relaxation import RESULTS, checks, exponentials
-from pmabench.kinds.contraction_relaxation.bandwidth import gathered, regulator
+from pmabench.kinds.contraction_relaxation import RESULTS, bandwidth, checks, exponentials
+from pmabench.kinds.contraction_relaxation.bandwidth import Recorded, regulator
 from pmabench.kinds.contraction_relaxation.checks import free_runs
 from pmabench.kinds.contraction_relaxation.diagnosis.held_out import Test
 from pmabench.kinds.contraction_relaxation.diagnosis.hiding import hidden, of_the_sensors
@@ -89,14 +89,15 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     facts = {"options": dict(options), "trials": sum(len(run.trials) for run in runs)}
     if campaign is None or pooled is None:
         return _without_fit(runs, campaign, dropped, reason, {**facts, "trials_used": 0})
-    recorded, late = gathered(campaign, pooled.diagnosis)
+    recorded = Recorded.of(campaign, pooled.diagnosis)
     campaign, diagnosis = pooled.campaign, pooled.diagnosis
     estimates, curves = estimates_of(pooled)
-    stepwise = exponentials.compare(campaign, (recorded, late), pooled, estimates)
+    stepwise = exponentials.compare(pooled, estimates)
+    widths = bandwidth.estimates(campaign, estimates, recorded)
     dropped += _unmoved(campaign, pooled)
-    response, described = regulator(recorded, *late.values()) if options.get("regulator") else ([], [])
+    response, described = regulator(recorded) if options.get("regulator") else ([], [])
     simulated = free_runs(campaign, pooled, estimates)
-    every = (*estimates, *stepwise.estimates)
+    every = (*estimates, *stepwise.estimates, *exponentials.onsets(recorded, pooled), *widths)
     reported = withheld(every, diagnosis)
     gone = {e.symbol for e in reported if e.withheld}
     return Analysis.of(
