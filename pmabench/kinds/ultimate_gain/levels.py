@@ -19,7 +19,7 @@ from pmabench.analysis.shared.samples import noise_of
 from pmabench.analysis.shared.signals import SKIPPED, Swinging, describe, mode_amplitudes
 from pmabench.base.quantities import show
 from pmabench.kinds.ultimate_gain.ways import Examined, GainCell, Pair
-from pmabench.store.analyses.results import Estimate, Finding, Parts, Trace
+from pmabench.store.analyses.results import Estimate, Parts, Trace
 from pmabench.store.records import Array, TrialData
 
 STEEPEST = 0.3
@@ -254,7 +254,6 @@ def _doubts(nearest: Level, ratios: Array, friction: float) -> list[str]:
 
 
 METHOD = "gain-steps"
-ALONE = "one trial: the repeats part is the scatter about its own line, and repeated tests may scatter more"
 CURVED = (0.008, 0.0015)
 """Relative error of K_u and of T_u because growth and period over the gain are no lines: up to 0.7 and 0.1 % in 45
 loops.
@@ -265,21 +264,12 @@ loops.
 class LevelsCell(GainCell[TrialFound]):
     """All trials with a rising gain at one operating point."""
 
-    methods = (METHOD,)
+    method = METHOD
+    alone = "one trial: the repeats part is the scatter about its own line, and repeated tests may scatter more"
 
-    def _estimate(self, place: int, method: str) -> Estimate:
-        good = [one.found for one in self.good]
-        if not good:
-            return self.empty(place, method)
-        pairs = [found.pair for found in good]
-        mean = float(np.mean([pair.value[place] for pair in pairs]))
-        friction = 0.0 if place else max(found.friction for found in good)
-        parts = Parts(method=hypot(CURVED[place], friction) * mean)
-        return self.estimate(place, method, self.good, pairs, parts, (), alone=ALONE)
-
-    def findings(self) -> list[Finding]:
-        """Problems of the trials."""
-        return self.said()
+    def _estimate(self, place: int) -> Estimate:
+        friction = 0.0 if place else max(one.found.friction for one in self.good)
+        return self.estimate(place, Parts(method=hypot(CURVED[place], friction) * self.mean(place)))
 
     def traces(self) -> list[Trace]:
         """The oscillation nearest to K_u, and the growth plot."""

@@ -352,7 +352,6 @@ def _loop(regulator: Regulator, moved: Moved, period: float, off: float) -> Loop
 METHOD = "open-loop"
 DAMPING = 0.25
 """Error of the mean as a share of the difference between the two directions' K_u and T_u."""
-ALONE = "one trial: the repeats part is the scatter between its cycles"
 
 
 @dataclass(frozen=True)
@@ -360,7 +359,9 @@ class StepsCell(GainCell[StepsFound]):
     """All open-loop trials at one operating point."""
 
     called = "trials of steps"
-    methods = (METHOD,)
+    method = METHOD
+    alone = "one trial: the repeats part is the scatter between its cycles"
+    note = "the method part is what unlike lags in the two directions and the bend of the steps are worth"
 
     @property
     def apart(self) -> float:
@@ -369,7 +370,7 @@ class StepsCell(GainCell[StepsFound]):
 
     def findings(self) -> list[Finding]:
         """Problems of the trials, the fitted loop, and effects of friction."""
-        lines = self.said()
+        lines = super().findings()
         known = next((one.found for one in self.good), None)
         if known is not None and known.loop is not None and known.moved is not None:
             up, down = known.moved.tau
@@ -393,17 +394,11 @@ class StepsCell(GainCell[StepsFound]):
         columns["pressure"] = P[mask] + steps[3].value
         return [self.trace("open-loop", "Open-loop steps", columns, {"setpoint": self.at.get("setpoint", 0.0)})]
 
-    def _estimate(self, place: int, method: str) -> Estimate:
-        good = [one.found for one in self.good]
-        if not good:
-            return self.empty(place, method)
-        pairs = [found.pair for found in good]
-        value = float(np.mean([pair.value[place] for pair in pairs]))
+    def _estimate(self, place: int) -> Estimate:
+        good, value = [one.found for one in self.good], self.mean(place)
         damping = DAMPING * max(found.spans[place] for found in good)
         bent = 0.0 if place else max(found.bent for found in good) ** 2 / 2
-        parts = Parts(method=value * hypot(damping, bent), skew=self.by_clocks(place))
-        said = "the method part is what unlike lags in the two directions and the bend of the steps are worth"
-        estimate = self.estimate(place, method, self.good, pairs, parts, (said,), alone=ALONE)
+        estimate = self.estimate(place, Parts(method=value * hypot(damping, bent), skew=self.by_clocks(place)))
         every = [one for found in good for one in (found.sided, *found.departures)]
         doubts = [replace(doubt, half=value * float(shares[place])) for doubt, shares in every]
         worst = {one.name: one for one in sorted(doubts, key=lambda one: one.half)}

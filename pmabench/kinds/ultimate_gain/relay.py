@@ -330,9 +330,6 @@ def _muscle(s: ComplexArray, X: ComplexArray, Q: ComplexArray) -> tuple[float, t
     return None
 
 
-FITTED = "relay-fit"
-ALONE = "one trial: the repeats part is the scatter between its periods"
-SAID = "the method part is the difference between the amplitudes, and what the loop's form is worth"
 OF_FRICTION, OF_SHAPE, OF_SIZES = 2.0, 0.5, 1.3
 """Errors of K_u and T_u per friction as a share of the amplitude, per distance of the third harmonic, and per change
 between the amplitudes: upper bounds found with play, a second lag and a rate limit in known loops.
@@ -359,19 +356,18 @@ class RelayCell(GainCell[RelayFound]):
     """All relay trials at one operating point."""
 
     called = "relay trials"
-    methods = (FITTED,)
+    method = "relay-fit"
+    alone = "one trial: the repeats part is the scatter between its periods"
+    note = "the method part is the difference between the amplitudes, and what the loop's form is worth"
+    by_command = False
 
-    def _estimate(self, place: int, method: str) -> Estimate:
-        good = [one.found for one in self.good]
-        if not good:
-            return self.empty(place, method)
-        pairs, parts = [found.pair for found in good], Parts(method=_method_part(self, place))
-        e = self.estimate(place, method, self.good, pairs, parts, (SAID,), alone=ALONE, by_command=False)
-        return weighed(e, _doubts(good, e.symbol, e.value or 0.0))
+    def _estimate(self, place: int) -> Estimate:
+        e = self.estimate(place, Parts(method=_method_part(self, place)))
+        return weighed(e, _doubts([one.found for one in self.good], e.symbol, e.value or 0.0))
 
     def findings(self) -> list[Finding]:
         """Problems of the trials, and the fitted loop."""
-        lines, loop = self.said(), self.loop
+        lines, loop = super().findings(), self.loop
         if loop is None:
             return lines
         text = f"at {self.where} the loop fitted to the relay oscillation has {ways.described(loop)}"

@@ -87,8 +87,13 @@ class GainCell(ABC, Generic[Found]):
 
     called: ClassVar[str] = "trials"
     """Name of its trials in findings."""
-    methods: ClassVar[tuple[str, ...]]
-    """Methods; the first one is used first."""
+    method: ClassVar[str]
+    alone: ClassVar[str]
+    """Note on a value of a single trial."""
+    note: ClassVar[str] = ""
+    """Note on every value."""
+    by_command: ClassVar[bool] = True
+    """Whether the calibration is that of the commanded pressure, if it has one; else that of the measured pressure."""
     at: Mapping[str, float]
     members: tuple[Member[Found], ...]
 
@@ -99,16 +104,12 @@ class GainCell(ABC, Generic[Found]):
 
     @cached_property
     def estimates(self) -> list[Estimate]:
-        """K_u and T_u by each method."""
-        return [self._estimate(place, method) for method in self.methods for place in range(len(SYMBOLS))]
+        """K_u and T_u, with the reasons where there is no value."""
+        return [self._estimate(place) if self.good else self._empty(place) for place in range(len(SYMBOLS))]
 
     @abstractmethod
-    def _estimate(self, place: int, method: str) -> Estimate:
-        """K_u (`place` 0) or T_u (1) by a method: mean of the trials, with its interval in parts."""
-
-    @abstractmethod
-    def findings(self) -> list[Finding]:
-        """Problems of the trials, and the loop."""
+    def _estimate(self, place: int) -> Estimate:
+        """K_u (`place` 0) or T_u (1): mean of the trials, with its interval in parts; there is a trial with a value."""
 
     @abstractmethod
     def traces(self) -> list[Trace]:
@@ -150,44 +151,42 @@ class GainCell(ABC, Generic[Found]):
             for point, group in by_point(members)
         ]
 
-    def empty(self, place: int, method: str) -> Estimate:
+    def _empty(self, place: int) -> Estimate:
         """K_u (`place` 0) or T_u (1) without value, with the reasons for which all trials were refused."""
         symbol, unit, quantity = SYMBOLS[place]
         note = "; ".join(dict.fromkeys(reason for one in self.members for reason in one.found.refused))
         parents = tuple(one.trial.name for one in self.members)
-        return Estimate(symbol, None, unit, quantity, method, self.at, note=note, trials=parents)
+        return Estimate(symbol, None, unit, quantity, self.method, self.at, note=note, trials=parents)
 
-    def estimate(
-        self, place: int, method: str, of: Sequence[Member[Found]], pairs: Sequence[Pair], parts: Parts,
-        notes: Sequence[str], *, alone: str, by_command: bool = True,
-    ) -> Estimate:  # fmt: skip
-        """The mean of K_u (`place` 0) or T_u (1) over the `pairs` of the trials `of`.
+    def mean(self, place: int) -> float:
+        """The mean of K_u (`place` 0) or T_u (1) over the trials."""
+        return float(np.mean([one.found.pair.value[place] for one in self.good]))
 
-        `parts` has those by method and clocks; `alone` is the note for a single trial. `by_command`: the calibration is
-        that of the commanded pressure if it has one, else that of the measured pressure.
-        """
-        scales = Scales.of(one.run for one in self.members)
+    def estimate(self, place: int, parts: Parts) -> Estimate:
+        """K_u (`place` 0) or T_u (1) with those of its parts that are by method and clocks."""
+        scales, good = Scales.of(one.run for one in self.members), self.good
+        pairs = [one.found.pair for one in good]
         numbers, halves = [pair.value[place] for pair in pairs], [pair.half[place] for pair in pairs]
-        value = float(np.mean(numbers))
-        pressure = "pressure_command" if by_command and "pressure_command" in scales.gains else "pressure"
+        value = self.mean(place)
+        pressure = "pressure_command" if self.by_command and "pressure_command" in scales.gains else "pressure"
         used = () if place else (pressure, "displacement")
         return replace(
-            self.empty(place, method),
+            self._empty(place),
             value=value,
             parts=replace(
                 parts, repeats=half_of_trials(numbers, halves), calibration=scales.part(dict.fromkeys(used, value))
             ),
-            n=len(of),
+            n=len(good),
             note=sentences(
-                *(doubt for one in of for doubt in one.found.doubts),
-                alone if len(of) == 1 else "",
-                *notes,
+                *(doubt for one in good for doubt in one.found.doubts),
+                self.alone if len(good) == 1 else "",
+                self.note,
                 scales.lack(used),
             ),
-            trials=tuple(one.trial.name for one in of),
+            trials=tuple(one.trial.name for one in good),
         )
 
-    def said(self) -> list[Finding]:
+    def findings(self) -> list[Finding]:
         """Each reason and doubt with the number of trials concerned."""
         said = [("fault", reason) for one in self.members for reason in one.found.refused]
         said += [("doubt", doubt) for one in self.members for doubt in one.found.doubts]
