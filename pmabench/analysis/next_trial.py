@@ -290,10 +290,9 @@ def fewest(design: Design, aim: Aim, counts: Array, reference: int | None) -> Ar
     """Trials in each cell, shape (cells,), that reach all goals with few trials in addition to `counts` (cells,).
 
     Backward elimination: of as many full sweeps as are needed, the trial that matters least for the smooth maximum is
-    removed again and again while goals are reached; forward selection took a fifth more. Then a trial is added where it
-    helps most as long as it makes two others unnecessary. Trials in the cell `reference` are done anyway, and are
-    removed only as the others become fewer. Where `MOST_IN_CELL` trials in every cell do not reach the goals, these are
-    the start.
+    removed again and again while goals are reached; forward selection took a fifth more. Trials in the cell `reference`
+    are done anyway, and are removed only as the others become fewer. Where `MOST_IN_CELL` trials in every cell do not
+    reach the goals, these are the start.
     """
     level = 1
     while level < MOST_IN_CELL and not aim.reached(design.variances(np.maximum(counts, level))).all():
@@ -301,15 +300,7 @@ def fewest(design: Design, aim: Aim, counts: Array, reference: int | None) -> Ar
     target = np.maximum(counts, level)
     if reference is not None:
         target[reference] = counts[reference] + ceil((target - counts).sum() / (REFERENCE_EVERY - 1))
-    target = _eliminated(design, aim, counts, target, reference)
-    while (other := _exchanged(design, aim, counts, target, reference)) is not None:
-        target = other
-    return target
-
-
-def _eliminated(design: Design, aim: Aim, counts: Array, target: Array, reference: int | None) -> Array:
-    """The target without trials that are not needed, shape (cells,)."""
-    target, least = target.copy(), counts.copy()
+    least = counts.copy()
     while True:
         if reference is not None:
             least[reference] = counts[reference] + (target - counts).sum() // REFERENCE_EVERY
@@ -325,19 +316,6 @@ def _eliminated(design: Design, aim: Aim, counts: Array, target: Array, referenc
                 break
         else:
             return target
-
-
-def _exchanged(design: Design, aim: Aim, counts: Array, target: Array, reference: int | None) -> Array | None:
-    """The target with one trial more and at least two fewer; None where none of the `LOOKED_AT` best allows it."""
-    ones = np.flatnonzero(target < MOST_IN_CELL)
-    expected = np.maximum(design.variances(target) + design.slopes(target)[ones], 0.0)
-    for cell in ones[np.argsort(aim.worst(expected))][:LOOKED_AT]:
-        more = target.copy()
-        more[cell] += 1
-        fewer = _eliminated(design, aim, counts, more, reference)
-        if fewer.sum() < target.sum():
-            return fewer
-    return None
 
 
 @dataclass(frozen=True)

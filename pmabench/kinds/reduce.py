@@ -10,8 +10,7 @@ from math import hypot
 from typing import Any
 
 from pmabench.analysis.imported import in_time, without_doubtful
-from pmabench.analysis.shared.changes import Change, of_forces, of_values, with_changes
-from pmabench.analysis.shared.followed import followed
+from pmabench.analysis.shared.changes import Change, followed, of_forces, of_values, with_changes
 from pmabench.analysis.shared.regulated import regulated
 from pmabench.analysis.shared.samples import with_motion
 from pmabench.analysis.shared.signals import without_spikes

@@ -14,7 +14,7 @@ from math import ceil
 import numpy as np
 from scipy.stats import beta
 
-from pmabench.kinds.contraction_relaxation.reduction import estimates_of, pool, reduce
+from pmabench.kinds.contraction_relaxation.reduction import estimates_of, pool
 from pmabench.kinds.contraction_relaxation.segments import gather
 from pmabench.model.plant import Plant
 from pmabench.model.regulator import constant
@@ -91,12 +91,7 @@ def judged(seed: int) -> Row:
     assert found is not None
     pooled = pool(found, {})
     assert pooled is not None
-    return _row(estimates_of(found, pooled)[0])
-
-
-def judged_by(method: str, options: Mapping[str, object], seed: int) -> Row:
-    """The same of another method of the whole reduction, which `options` ask for."""
-    return _row([e for e in reduce([campaign(seed)], options).estimates if e.method == method])
+    return _row(estimates_of(pooled)[0])
 
 
 def _row(estimates: Iterable[Estimate]) -> Row:

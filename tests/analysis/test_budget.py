@@ -26,7 +26,7 @@ def reported(run: RunData, replays: int = 0) -> dict[tuple[str, float], Estimate
     assert found is not None
     pooled = pool(found, {"replays": replays})
     assert pooled is not None
-    return {(e.symbol, e.at.get("pressure", 0.0)): e for e in estimates_of(found, pooled)[0] if e.value is not None}
+    return {(e.symbol, e.at.get("pressure", 0.0)): e for e in estimates_of(pooled)[0] if e.value is not None}
 
 
 @cache

@@ -12,8 +12,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pmabench.analysis.shared.changes import Rows
-from pmabench.analysis.shared.followed import followed
+from pmabench.analysis.shared.changes import Rows, followed
 from pmabench.kinds.reduce import reduce_runs
 from pmabench.store.analyses.results import Analysis, Estimate
 from pmabench.store.records import Command, RunData, TrialData

@@ -57,7 +57,7 @@ def gathered(run: RunData) -> Campaign:
 def recorded_segments(run: RunData) -> Segments:
     """Segments of a run as it was recorded, nothing corrected."""
     found = gathered(run)
-    return segments_like(found, {})[1](found.samples)
+    return segments_like(found)[1](found.samples)
 
 
 def fitted(run: RunData, replays: int = 0) -> Pooled:

@@ -11,8 +11,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from pmabench.analysis.surface.choice import choose
-from pmabench.analysis.surface.fit import Data
+from pmabench.analysis.surface.fit import Data, choose
 from pmabench.analysis.surface.trials import Record, rows_of
 from pmabench.kinds.reduce import reduce_together
 from tests.analysis.judged import as_slow_runs

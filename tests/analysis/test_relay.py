@@ -11,6 +11,7 @@ import pytest
 
 from pmabench.engine.laws.relay import Relay
 from pmabench.kinds.ultimate_gain.reduction import reduce
+from pmabench.kinds.ultimate_gain.relay import examine
 from pmabench.kinds.ultimate_gain.ways import findings as ways
 from pmabench.store.analyses.results import Analysis
 from pmabench.store.records import TrialData
@@ -57,16 +58,16 @@ def test_the_fitted_loop_gives_the_phase_equations_values(x: float, T_r: float, 
     assert loop["dead_time"] == pytest.approx(0.041, abs=5e-4)
     assert loop["lags"][0] == pytest.approx(T_r, rel=0.02)
     assert "stiction" not in texts(found, "fault")
-    assert "(relay-fit), " in texts(found, "note")
 
 
 def test_the_describing_function_is_what_its_equation_gives_for_a_linear_loop() -> None:
     """Gain and period of 4 d/(pi sqrt(a^2 - h^2)) on a loop with so much lag that harmonics hardly pass."""
     plant = LinearPlant(1.466e-7, 0.04, (0.0955, 0.247))
-    reported = values(reduce([as_run("ultimate-gain", [swing(plant, 0.0, 0.0, hysteresis=[1e-5, 2e-5])])]))
+    trial = swing(plant, 0.0, 0.0, hysteresis=[1e-5, 2e-5])
+    level = examine(as_run("ultimate-gain", [trial]), trial, trial.found["ultimate-gain"]).best
     K_u, T_u = theory(1.466e-7, 0.041, 0.0955, 0.247)
-    assert reported["K_u", "relay-describing-function"] == pytest.approx(K_u, rel=0.10)
-    assert reported["T_u", "relay-describing-function"] == pytest.approx(T_u, rel=0.05)
+    assert level.described == pytest.approx(K_u, rel=0.10)
+    assert level.period == pytest.approx(T_u, rel=0.05)
 
 
 def seen_as_stiction(trial: TrialData) -> bool:
@@ -143,9 +144,8 @@ def test_what_cannot_be_used_is_dropped_with_its_reason() -> None:
     found = reduce([as_run("ultimate-gain", [replace(trial, found={"ultimate-gain": one})])])
     assert "needed to see friction" in texts(found, "doubt")
     blind = {name: column for name, column in trial.channels.items() if name != "pressure"}
-    reported = values(reduce([as_run("ultimate-gain", [replace(trial, channels=blind)])]))
-    assert reported["K_u", "relay-fit"] is None
-    assert reported["K_u", "relay-describing-function"] is not None
+    found = reduce([as_run("ultimate-gain", [replace(trial, channels=blind)])])
+    assert (found.dropped[0].reason, found.estimates) == ("the pressure is not recorded", ())
 
 
 def test_the_shipped_protocol_on_the_simulated_bench_without_friction(tmp_path: Path) -> None:

@@ -43,7 +43,7 @@ def fitted(run: RunData) -> tuple[Pooled, dict[Key, Estimate]]:
     assert found is not None
     pooled = pool(found, {"replays": 0})
     assert pooled is not None
-    reported = estimates_of(found, pooled)[0]
+    reported = estimates_of(pooled)[0]
     return pooled, {(e.symbol, e.at.get("pressure", 0.0)): e for e in reported if e.value is not None}
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pmabench.analysis.shared.samples import dead_times, onset
-from pmabench.kinds.contraction_relaxation.exponentials import exponentials, regress, stiffness
+from pmabench.kinds.contraction_relaxation.exponentials import exponentials, regress
 from pmabench.kinds.contraction_relaxation.values import curve, polynomial
 from pmabench.store.analyses.results import Estimate, Parts
 
@@ -35,7 +35,6 @@ def test_regression_of_k_needs_two_loads():
     assert found.se_K == pytest.approx(0.0, abs=1e-6)
     assert regress(load[:1], x[:1]) is None
     assert regress(load[:2], x[:2]).se_K is None
-    assert stiffness(load, x, 300.0).K == pytest.approx(6000.0)
 
 
 def test_standard_errors_of_the_regression():

@@ -16,8 +16,7 @@ from time import process_time
 import numpy as np
 from scipy.signal import savgol_filter
 
-from pmabench.analysis.surface.choice import Spread, choose
-from pmabench.analysis.surface.fit import Data
+from pmabench.analysis.surface.fit import Data, Spread, choose
 from pmabench.analysis.surface.muscle import SURFACE, columns_of, memory
 from pmabench.analysis.surface.trials import Record, rows_of
 from pmabench.analysis.surface.trials import Rows as Joined

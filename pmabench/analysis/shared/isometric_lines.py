@@ -88,11 +88,6 @@ class Pooled:
     sessions: tuple[str, ...]
     """The session of each repeat."""
 
-    @property
-    def rms(self) -> float:
-        """Rms residual of the tests from their own lines [N]."""
-        return sqrt(sum(line.n * line.rms**2 for line in self.each) / max(1, sum(line.n for line in self.each)))
-
     def half(self, of: str) -> float | None:
         """95 % half width of `m` or `c` from the scatter between sessions, or repeats of one session; or None."""
         return mean_over_sessions([pair["mc".index(of)] for pair in self.repeats], self.sessions)[1]

@@ -118,7 +118,7 @@ def _of_turns(t: Array, moved: Array, pulls: Array, turns: Sequence[float], span
 
 
 def _window(t: Array, moved: Array, pulls: Array, turn: float, span: float) -> tuple[Array, Array] | None:
-    """Times relative to the turn of the motion [s] and `pulls` there; None with too few samples or without a turn."""
+    """Times [s] since the turn of the motion, and `pulls` at these times; None with too few samples or no turn."""
     wide = _about(t, turn, WIDER * span)
     begin = None if wide is None else corner(t[wide] - turn, moved[wide])
     near = None if begin is None else _about(t, turn + begin, span)

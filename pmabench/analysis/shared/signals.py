@@ -104,7 +104,7 @@ def _convolved(y: Array, kernel: Array) -> Array:
 HARMONICS = 3
 """Number of fitted harmonics of a damped mode."""
 SKIPPED = 2
-"""First swings that are left out, because they contain faster modes."""
+"""Number of first swings that are left out, because they contain faster modes."""
 SEEN = 12.0
 """Standard deviations of the noise above which a swing, peak to peak, counts."""
 
@@ -335,7 +335,8 @@ def respond(
     resolution: float = 0.0,
     lag: float = 0.0,
 ) -> Response:
-    """Measures of the samples `x` [m] at `t` [s from the step], shape (n,), from the step to the end of the hold.
+    """Response to a step of the set-point, from samples `x` [m] at `t` [s after the step], shape (n,), until the hold
+    ends.
 
     `window` [s] is for error and cycle; `band` is over the step [1]; `origin`: position at rest before [m];
     `resolution`: one count of the channel [m]; `lag`: time constant of its sensor, which is corrected [s]. Raises

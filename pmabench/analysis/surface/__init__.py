@@ -2,6 +2,5 @@
 
 - `trials`: one slow trial as arrays, from a trial of a run
 - `muscle`: the terms, their memory of the past of a trial, and the fitted muscle
-- `fit`: bounded least squares of all trials
-- `choice`: choice of terms by cross-validation, and intervals of values
+- `fit`: bounded least squares of all trials, choice of terms by cross-validation, and intervals of values
 """

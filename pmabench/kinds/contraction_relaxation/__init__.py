@@ -5,7 +5,7 @@
 - whether the data have the form of the fit, why not, and what could hide in it: `diagnosis`; other checks of the fit,
   its words and overlays: `checks`
 - the way of the papers, dead times: `exponentials`; the regulator, and how late its gauge is: `bandwidth`
-- by paper 1: `paper1`, made of `paper1_steps`
+- by paper 1: `paper1`
 - further trials: `known`, what is known so far and what they would add; `next_trial`, the choice
 - protocol files: `protocol`; one trial on the display: `reduction`
 """
@@ -50,9 +50,6 @@ METHODS = {
         "through the displacement. It takes the pressure for a step, so B comes out too large where the regulator is "
         "slow; kept for comparison with published values."
     ),
-    "step-exponential, F_ce known": (
-        "K from final contractions alone, with F_ce taken from the static-load study or from the primary fit."
-    ),
     "paper-1-x0": (
         "The way of paper 1: K = S = (F_ce − L) / x_max and B = D = τ S from single steps, τ from the first motion to "
         "63.2 % of the stroke, F_ce from the braid's geometry at zero contraction. B_r carries the pressure before the "
@@ -86,7 +83,7 @@ PAPER_1 = Kind(
     moves="displacement",
     word="contraction",
     offers="pmabench.kinds.contraction_relaxation.values:by_paper_1",
-    figures={"step-overlay": "pmabench.kinds.contraction_relaxation.paper1_steps:step_overlays"},
+    figures={"step-overlay": "pmabench.kinds.contraction_relaxation.paper1:step_overlays"},
 )
 KIND = Kind(
     name="contraction-relaxation",

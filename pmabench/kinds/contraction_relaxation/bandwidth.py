@@ -18,7 +18,7 @@ channels behind one filter, or moves those that are in time to one that is late,
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import hypot, log, pi, sqrt
 
@@ -84,19 +84,12 @@ def in_order(recorded: Campaign, diagnosis: Diagnosis) -> dict[str, Late]:
     return found
 
 
-def gathered(recorded: Campaign, diagnosis: Diagnosis) -> tuple[Campaign, dict[str, Late]]:
-    """The campaign as recorded, with a clock of the pressure corrected, and how late pressure and displacement are."""
-    clocks = [one for one in diagnosis.reported.explanations if one.kind == "clock" and one.which == "pressure"]
-    return in_samples(recorded, clocks), in_order(recorded, diagnosis)
-
-
 METHOD = "regulator-response"
 BEFORE, AFTER = 0.1, 2.0
 """Fitted part of a step: from BEFORE the command to AFTER it [s]."""
 FALL = 6.0
 """A second lag is reported where the corrected Akaike criterion falls by more than this."""
 NAMES, SENSOR = ("dead time", "lag", "second lag"), "displacement sensor or tube"
-IN_TIME = Late()
 BLURRED = 0.75
 """A second lag up to this share of a sample period is what sampling makes of steps, at any times between samples."""
 FEWEST = 20
@@ -230,13 +223,48 @@ def _least(missed: Callable[[Array], Array], z: Array, least: float) -> tuple[Ar
     return z, slope
 
 
-def regulator(campaign: Campaign, late: Late = IN_TIME, sensor: Late = IN_TIME) -> tuple[list[Estimate], list[Finding]]:
+ONSET = 0.2
+"""Share of the time constant of a filter by which it delays an onset that is read off the samples."""
+
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """A campaign as it was recorded, with what it shows of the regulator."""
+
+    campaign: Campaign
+    """With a clock of the pressure corrected."""
+    late: Mapping[str, Late]
+    """How late pressure and displacement are."""
+    responses: Mapping[float, tuple[Response, tuple[str, ...]]]
+    """Tested pressure [Pa] -> fit to its mean step, and the names of the trials; none where none fits."""
+
+    @classmethod
+    def of(cls, campaign: Campaign, diagnosis: Diagnosis) -> Recorded:
+        """From the campaign as gathered, and the diagnosis of its fit."""
+        clocks = [one for one in diagnosis.reported.explanations if one.kind == "clock" and one.which == "pressure"]
+        late, recorded = in_order(campaign, diagnosis), in_samples(campaign, clocks)
+        return cls(recorded, late, _responses(recorded, late["pressure"]))
+
+    @property
+    def behind(self) -> dict[str, tuple[float, float]]:
+        """How late the onsets of pressure and motion are in the samples, and the half width of that [s]; a filter
+        hardly delays an onset.
+        """
+        gauge, sensor = self.late["pressure"], self.late["displacement"]
+        steps = [one for one, _ in self.responses.values()]
+        by_gauge = gauge.found, max((one.unsure[0] for one in steps), default=gauge.lag)
+        if any(one.filtered for one in steps):
+            by_gauge = ONSET * gauge.lag - gauge.declared, ONSET * gauge.lag
+        return {"pressure": by_gauge, "motion": (sensor.found, sensor.lag)}
+
+
+def regulator(recorded: Recorded) -> tuple[list[Estimate], list[Finding]]:
     """Dead time and lags [s] at each tested pressure and over all of them, and how well they describe the steps.
 
-    The campaign is as of `gathered`, and its pressure `late`. What comes after the gauge and is not of the muscle, a
-    displacement `sensor` that is late, or a tube, is reported separately: a control loop contains it, too.
+    What comes after the gauge and is not of the muscle, a displacement sensor that is late, or a tube, is reported
+    separately: a control loop contains it, too.
     """
-    found = responses(campaign, late)
+    campaign, found, sensor = recorded.campaign, recorded.responses, recorded.late["displacement"]
     if not found:
         return [], [Finding("note", "the regulator's dead time and lag are not identifiable: no step of the pressure")]
     estimates = [  # intervals at one pressure from the residual
@@ -257,8 +285,8 @@ def regulator(campaign: Campaign, late: Late = IN_TIME, sensor: Late = IN_TIME) 
     return [*estimates, *whole], [Finding("note", text)]
 
 
-def responses(campaign: Campaign, late: Late) -> dict[float, tuple[Response, tuple[str, ...]]]:
-    """Fit to the mean step at each tested pressure [Pa], with the names of its trials; none where none fits."""
+def _responses(campaign: Campaign, late: Late) -> dict[float, tuple[Response, tuple[str, ...]]]:
+    """As `Recorded.responses`, for a pressure that is `late`."""
     found: dict[float, tuple[Response, tuple[str, ...]]] = {}
     for P in campaign.tested:
         rises = [rise for number in range(len(campaign.trials)) if (rise := _rise(campaign, number, P)) is not None]
@@ -267,18 +295,6 @@ def responses(campaign: Campaign, late: Late) -> dict[float, tuple[Response, tup
             if fitted is not None:
                 found[P] = fitted.of_regulator(late, 1 / campaign.rate), tuple(name for name, _, _ in rises)
     return found
-
-
-ONSET = 0.2
-"""Share of the time constant of a filter by which it delays an onset that is read off the samples."""
-
-
-def behind(found: Iterable[Response], late: Late) -> tuple[float, float]:
-    """How late the onset of the pressure is in the samples, and what is open of that [s]; a filter hardly delays it."""
-    steps = list(found)
-    if any(one.filtered for one in steps):
-        return ONSET * late.lag - late.declared, ONSET * late.lag
-    return late.found, max((one.unsure[0] for one in steps), default=late.lag)
 
 
 def _rise(campaign: Campaign, number: int, P: float) -> tuple[str, Array, Array] | None:
@@ -354,7 +370,7 @@ def of_model(K: float, B: float, M: float, lags: Sequence[float]) -> float | Non
     return float(f.min()) if len(f) and LOWEST < f.min() < HIGHEST else None
 
 
-def estimates(campaign: Campaign, found: Sequence[Estimate], responses: dict[float, Response]) -> list[Estimate]:
+def estimates(campaign: Campaign, found: Sequence[Estimate], recorded: Recorded) -> list[Estimate]:
     """f_b [Hz] at each tested pressure with the least and the largest load.
 
     `found` are the primary method's estimates. Method part: half the difference between the bandwidths with B_c and
@@ -363,7 +379,8 @@ def estimates(campaign: Campaign, found: Sequence[Estimate], responses: dict[flo
     loads = sorted({sample.load for sample in campaign.samples})
     chosen = list(dict.fromkeys((loads[0], loads[-1])))
     by = {(e.symbol, e.at["pressure"]): e for e in found if set(e.at) == {"pressure"} and e.value is not None}
-    made = (_by_coefficients(campaign, P, load, by, responses.get(P)) for P in campaign.tested for load in chosen)
+    known = {P: one for P, (one, _) in recorded.responses.items()}
+    made = (_by_coefficients(campaign, P, load, by, known.get(P)) for P in campaign.tested for load in chosen)
     return [e for e in made if e is not None]
 
 
@@ -399,23 +416,3 @@ def _by_coefficients(
     names = tuple(dict.fromkeys(name for e in known for name in e.trials))
     at = {"pressure": P, "load": load}
     return Estimate("f_b", value, "Hz", "frequency", MODEL, at, parts, len(names), note=note, trials=names)
-
-
-def findings(estimates: Sequence[Estimate]) -> list[Finding]:
-    """Range of the bandwidths."""
-    if not estimates:
-        return []
-    low, high = min(estimates, key=_value), max(estimates, key=_value)
-    text = (
-        f"small-signal bandwidth of contraction under commanded pressure, -3 dB: {_value(low):.2g} Hz at "
-        f"{_where(low)} to {_value(high):.2g} Hz at {_where(high)}, by the coefficients"
-    )
-    return [Finding("note", text)]
-
-
-def _value(e: Estimate) -> float:
-    return e.value or 0.0
-
-
-def _where(e: Estimate) -> str:
-    return f"{show(e.at['pressure'], 'pressure')} with {show(e.at['load'], 'force', 3)}"

@@ -350,7 +350,7 @@ SHOWN = 6
 
 
 def facts(campaign: Campaign, pooled: Pooled, runs: Sequence[FreeRun]) -> dict[str, Any]:
-    """Numbers behind the fit and its free runs, SI."""
+    """Numbers about the fit and its free runs [SI], for `Analysis.facts`."""
     used = np.unique(pooled.segments.trial)
     free = check(campaign, runs)
     return {

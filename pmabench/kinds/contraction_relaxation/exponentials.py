@@ -1,4 +1,4 @@
-"""The papers' step-exponential method: K, F_ce and B = K tau from exponentials; dead times and bandwidth.
+"""The papers' step-exponential method: K, F_ce and B = K tau from exponentials; dead times.
 
 It assumes a pressure step, which biases B where the regulator is slow; kept for comparison. Uses the trials and the
 primary method's results, and does not change the latter.
@@ -20,14 +20,13 @@ from pmabench.analysis.shared.samples import KINDS, Samples, dead_times
 from pmabench.analysis.shared.student import half_width, mean_over
 from pmabench.analysis.shared.trials import grouped
 from pmabench.base.quantities import show
-from pmabench.kinds.contraction_relaxation import bandwidth
-from pmabench.kinds.contraction_relaxation.bandwidth import Late, responses
+from pmabench.kinds.contraction_relaxation.bandwidth import Recorded
 from pmabench.kinds.contraction_relaxation.diagnosis.hiding import GAIN, ZERO
 from pmabench.kinds.contraction_relaxation.intervals import AT_REST, CORRECTED, Pooled
 from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS
 from pmabench.kinds.contraction_relaxation.segments import Campaign, Gate
-from pmabench.kinds.contraction_relaxation.values import QUANTITY, Further, biases, curve, with_bias
-from pmabench.store.analyses.results import Estimate, Finding, Parts, without_value
+from pmabench.kinds.contraction_relaxation.values import QUANTITY, biases, curve, with_bias
+from pmabench.store.analyses.results import Curve, Estimate, Finding, Parts, without_value
 from pmabench.store.records import Array, TrialData
 
 LEAST_STEP = 0.2e-3
@@ -174,18 +173,7 @@ def regress(load: Array, x: Array) -> Regression | None:
     return Regression(K, F_ce, se_K, se_F, len(load))
 
 
-def stiffness(load: Array, x: Array, F_ce: float) -> Regression:
-    """One parameter: K = sum x (F_ce - F_L) / sum x^2 for a known F_ce [N]."""
-    power = float(x @ x)
-    K = float(x @ (F_ce - load)) / power
-    left = len(x) - 1
-    residual = F_ce - load - K * x
-    se = sqrt(float(residual @ residual) / left / power) if left > 0 else None
-    return Regression(K, F_ce, se, None, len(x))
-
-
 METHOD = "step-exponential"
-KNOWN_F_CE = "step-exponential, F_ce known"
 ONSET = "onset"
 ONCE = "no repeats part: each load and pressure was tested once"
 SINGLE = "no repeats part: too few points for scatter about their line"
@@ -200,38 +188,34 @@ class _Raw:
     offsets: Mapping[str, float]
 
 
-def compare(
-    campaign: Campaign, gathered: tuple[Campaign, Mapping[str, Late]], pooled: Pooled, found: Sequence[Estimate],
-    options: Mapping[str, Any],
-) -> Further:  # fmt: skip
-    """The papers' estimates and the dead times; `found` are the primary method's, `gathered` as of `bandwidth`."""
-    primary, moved = pooled.fit, set(pooled.segments.trial.tolist())
+@dataclass(frozen=True)
+class Stepwise:
+    """Results of the papers' method."""
+
+    estimates: tuple[Estimate, ...]
+    curves: tuple[Curve, ...]
+    findings: tuple[Finding, ...]
+    steps: list[dict[str, Any]]
+    """The fitted steps as plain data [SI]."""
+
+
+def compare(pooled: Pooled, found: Sequence[Estimate]) -> Stepwise:
+    """The papers' estimates compared with those of the primary method, `found`."""
+    campaign, moved = pooled.campaign, np.unique(pooled.segments.trial).tolist()
     seen = {cause.name for cause in pooled.trust.causes if cause.seen} & {GAIN, ZERO, AT_REST.format("displacement")}
     seen |= {CORRECTED for one in pooled.diagnosis.of_cell if one.key == "gain"}
     scales = Scales.of(campaign.runs)
-    steps = steps_of(((campaign.samples[n], campaign.trials[n]) for n in sorted(moved)), Gate.lift)
+    steps = steps_of(((campaign.samples[n], campaign.trials[n]) for n in moved), Gate.lift)
     at_each = {(e.symbol, e.at["pressure"]): e for e in found if "pressure" in e.at}
     reference = {key: e for key, e in at_each.items() if e.value is not None}
-
-    def force_at(P: float) -> tuple[float, float] | None:
-        """F_ce from elsewhere [N], and the half width of its interval without the calibration part."""
-        known = options.get("static")
-        if known:
-            return float(known["intercept"]) + float(known["slope"]) * P, 0.0
-        other = reference.get(("F_ce", P))
-        if other is None:
-            return None
-        open_by = replace(other.parts, calibration=None).combined or 0.0
-        return float(primary.values("F_ce", np.array([P]))[0]), open_by
-
     raw = [
         entry
         for P in campaign.tested
-        for entry in _at(campaign, P, [step for step in steps if abs(step.pressure - P) < 1.0], options, force_at(P))
+        for entry in _at(campaign, P, [step for step in steps if abs(step.pressure - P) < 1.0])
     ]
     weighed = [_weighed(e, at_each, seen) for e in _calibrated(raw, scales)]
     estimates = [_with_bias(e, reference) for e in weighed]
-    known = [e for e in estimates if e.method == METHOD and e.value is not None]
+    known = [e for e in estimates if e.value is not None]
     curves = [curve([e for e in known if e.symbol == symbol], 1) for symbol in SYMBOLS]
     table = [
         {
@@ -246,25 +230,14 @@ def compare(
         }
         for step in steps
     ]
-    ordered = sorted(estimates, key=lambda e: (e.method, (*SYMBOLS, "tau_c", "tau_r").index(e.symbol)))
-    recorded, late = gathered
-    regulator = {P: fitted for P, (fitted, _) in responses(recorded, late["pressure"]).items()}
-    widths = bandwidth.estimates(campaign, found, regulator)
-    of_motion = late["displacement"]
-    of_pressure = bandwidth.behind(regulator.values(), late["pressure"])
-    behind = {"pressure": of_pressure, "motion": (of_motion.found, of_motion.lag)}
-    return Further(
-        (*ordered, *_dead_times(recorded, moved, behind), *widths),
-        tuple(through for through in curves if through is not None),
-        (*_findings(estimates), *bandwidth.findings(widths)),
-        {"steps": table},
+    ordered = sorted(estimates, key=lambda e: (*SYMBOLS, "tau_c", "tau_r").index(e.symbol))
+    return Stepwise(
+        tuple(ordered), tuple(through for through in curves if through is not None), _findings(estimates), table
     )
 
 
-def _at(
-    campaign: Campaign, P: float, steps: Sequence[Step], options: Mapping[str, Any], known: tuple[float, float] | None
-) -> list[_Raw]:
-    """The papers' coefficients at one pressure [Pa]; `known`: F_ce from elsewhere and its half width [N]."""
+def _at(campaign: Campaign, P: float, steps: Sequence[Step]) -> list[_Raw]:
+    """The papers' coefficients at one pressure [Pa]."""
     contract, relax = ([step for step in steps if step.phase == phase] for phase in ("contract", "relax"))
     loads, x = np.array([(step.load, step.fit.end) for step in contract]).reshape(-1, 2).T
     regression = regress(loads, x)
@@ -273,23 +246,13 @@ def _at(
 
     def add(
         symbol: str, value: float, parts: Parts, among: Sequence[Step], gains: Mapping[str, float],
-        offsets: Mapping[str, float], note: str = "", method: str = METHOD,
+        offsets: Mapping[str, float], note: str = "",
     ) -> None:  # fmt: skip
         unit, quantity = QUANTITY.get(symbol, ("s", "time"))
         names = tuple(dict.fromkeys(campaign.name(step.trial) for step in among))
-        found = Estimate(symbol, value, unit, quantity, method, {"pressure": P}, parts, len(names), trials=names)
+        found = Estimate(symbol, value, unit, quantity, METHOD, {"pressure": P}, parts, len(names), trials=names)
         result.append(_Raw(replace(found, note=note), gains, offsets))
 
-    if contract and known is not None:
-        F_ce, is_open = known
-        one = stiffness(loads, x, F_ce)
-        lever = float(x.sum() / (x @ x))
-        gains, offsets = {"displacement": -one.K}, {"displacement": -one.K * lever}
-        if campaign.cell and not options.get("static"):
-            gains["force"], offsets["force"] = F_ce * lever, lever
-        half = half_width(one.se_K, one.n - 1)
-        parts = Parts(half, abs(lever) * is_open)
-        add("K", one.K, parts, contract, gains, offsets, "" if half is not None else SINGLE, KNOWN_F_CE)
     if regression is not None:
         half, half_K = (half_width(se, regression.n - 2) for se in (regression.se_F_ce, regression.se_K))
         note = "" if half is not None else SINGLE
@@ -321,7 +284,7 @@ def _calibrated(raw: Sequence[_Raw], scales: Scales) -> list[Estimate]:
     result = []
     for one in raw:
         e = one.estimate
-        alike = [r.estimate for r in raw if (r.estimate.symbol, r.estimate.method) == (e.symbol, e.method)]
+        alike = [r.estimate for r in raw if r.estimate.symbol == e.symbol]
         gains, offsets, alone = dict(one.gains), dict(one.offsets), ""
         if len(alike) > 1:
             P = [other.at["pressure"] for other in alike]
@@ -350,9 +313,6 @@ def _with_bias(estimate: Estimate, reference: Mapping[tuple[str, float], Estimat
     if estimate.symbol not in SYMBOLS:
         return estimate
     known = reference.get((estimate.symbol, estimate.at["pressure"]))
-    if known is None and estimate.method == KNOWN_F_CE:
-        note = "no method part: measured-pressure gives no value to hold it against"
-        return replace(estimate, note=sentences(estimate.note, note))
     if known is None or estimate.value is None:
         note = "the pressure is taken for a step, and measured-pressure gives no value to hold that against"
         return without_value(estimate, note)
@@ -361,9 +321,8 @@ def _with_bias(estimate: Estimate, reference: Mapping[tuple[str, float], Estimat
 
 def _findings(estimates: Sequence[Estimate]) -> tuple[Finding, ...]:
     """Differences between the papers' method and the primary one."""
-    mine = [e for e in estimates if e.method == METHOD]
-    parts = biases(mine, ("B_c", "B_r", "K"))
-    forces = [e.bias for e in mine if e.symbol == "F_ce" and e.bias is not None]
+    parts = biases(estimates, ("B_c", "B_r", "K"))
+    forces = [e.bias for e in estimates if e.symbol == "F_ce" and e.bias is not None]
     if forces:
         parts.append(f"F_ce {min(forces):+.2g} to {max(forces):+.2g} N")
     if not parts:
@@ -377,14 +336,13 @@ def _spread(over: str, ends: tuple[float, float]) -> str:
     return f"mean over {over}, from {low} to {high}; the method part reaches to the farther end"
 
 
-def _dead_times(campaign: Campaign, moved: set[int], behind: Mapping[str, tuple[float, float]]) -> list[Estimate]:
+def onsets(recorded: Recorded, pooled: Pooled) -> list[Estimate]:
     """Dead times of the contractions, per pressure and over all; those of motion only from trials that did move.
-
-    `behind`: how late the onsets of pressure and motion are in the samples, and what is open of that [s].
 
     The motion waits for the pressure to exceed what the load asks for: loads are unlike conditions for it, pressures
     are for all of them. The method part reaches to the farthest condition: a mean over them is not that of one.
     """
+    campaign, behind, moved = recorded.campaign, recorded.behind, set(pooled.segments.trial.tolist())
     found: list[tuple[str, int, float]] = []
     for number, (trial, samples) in enumerate(zip(campaign.trials, campaign.samples, strict=True)):
         command = next((c for c in trial.commands if c.output == "pressure" and c.phase == "contract"), None)

@@ -59,7 +59,7 @@ class Cell:
 
     @property
     def key(self) -> tuple[float, float]:
-        """Load [N] and pressure [Pa] as key of the cell."""
+        """Load [N] and pressure [Pa], rounded, which identify the cell."""
         return cell_key({"load": self.load, "pressure": self.pressure})
 
 
@@ -146,7 +146,7 @@ class Outlook:
     """A plan's cells and how well they determine the coefficients."""
 
     cells: tuple[Cell, ...]
-    """Those that are expected to move."""
+    """The cells of the plan in which the muscle is expected to move."""
     names: tuple[tuple[str, float], ...]
     """Symbol and pressure [Pa] of each value that all trials of the plan together determine."""
     values: Array
@@ -378,7 +378,7 @@ def known_after(
 def _measured(cells: Sequence[Cell], goals: Sequence[Goal], pooled: Pooled) -> Known:
     """The same from a fit."""
     campaign = pooled.campaign
-    estimates, _ = estimates_of(campaign, pooled)
+    estimates, _ = estimates_of(pooled)
     names = [(e.symbol, e.at.get("pressure", 0.0)) for e in estimates]
     reported = dict(zip(names, withheld(estimates, pooled.diagnosis), strict=True))
     used = np.unique(pooled.segments.trial)

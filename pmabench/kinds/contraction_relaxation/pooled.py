@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.shared.samples import Noise
-from pmabench.kinds.contraction_relaxation.segments import ON_TIME, Segments, covariance
+from pmabench.kinds.contraction_relaxation.segments import Segments
 from pmabench.store.records import Array
 
 SYMBOLS = ("F_ce", "K", "B_c", "B_r")
@@ -29,7 +29,9 @@ EXCESS = 1.5
 GAIN = 0.03
 """Least relative fall of the sum of squares for which an added knot is kept."""
 CHANCE = 8.0
-"""The same in units of the fall expected by chance, which matters for few segments, since the best place is taken."""
+"""The same fall in multiples of that expected by chance. It decides where segments are few: the best of several places
+for a knot is taken.
+"""
 FEWEST_KNOTS = 3
 """Fewest knots without those that only halve a stretch."""
 MOST_KNOTS = 8
@@ -45,6 +47,8 @@ largest: it changes forces by less than `FLOOR`.
 
 
 NONE = np.empty(0)
+ON_TIME = Noise()
+"""For samples with time stamps of the device's own clock: an error of that clock is no noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,23 +208,15 @@ def spread(at: tuple[NDArray[np.intp], Array], by: Array, k: int) -> Array:
     return whole.reshape(-1, k).astype(np.float64)
 
 
-def sums_of(segments: Segments, knots: Array) -> dict[str, Array]:
-    """Coefficient -> its regressors for values at the knots, shape (n, k) each."""
+def design_of(segments: Segments, knots: Array) -> Array:
+    """Regressors, shape (n, p), in the order of `Fit.theta`."""
     weights, k = np.broadcast_to(segments.weights, segments.P.shape), len(knots)
     left, share = at = place(segments.P, knots)
     first, s = segments.reach, segments.v.shape[1]  # of the pressures in the middle, `P_mid`
     damping = spread((left[:, first : first + s], share[:, first : first + s]), segments.v / s, k)
-    return {
-        "F_ce": spread(at, weights, k), "K": spread(at, weights * segments.x, k), "B_c": damping, "B_r": damping,
-    }  # fmt: skip
-
-
-def design_of(segments: Segments, knots: Array) -> Array:
-    """Regressors, shape (n, p), in the order of `Fit.theta`."""
-    of = sums_of(segments, knots)
-    way = segments.way[:, None]
+    force, stiffness, way = spread(at, weights, k), spread(at, weights * segments.x, k), segments.way[:, None]
     up = way > 0
-    return np.hstack([of["F_ce"], -of["K"], -np.where(up, of["B_c"], 0.0), -np.where(up, 0.0, of["B_r"]), -way])
+    return np.hstack([force, -stiffness, -np.where(up, damping, 0.0), -np.where(up, 0.0, damping), -way])
 
 
 def solve(segments: Segments, knots: Array, noise: float, design: Array | None = None) -> Fit:
@@ -301,11 +297,37 @@ def expected_noise(segments: Segments, fit: Fit, noise: Noise) -> Array:
 
 
 def noise_covariance(segments: Segments, fit: Fit, noise: Noise, late: Noise = ON_TIME) -> tuple[Array, Array]:
-    """Variance and covariance of the residuals as in `segments.covariance`: noise of the cell, or of M x'' without a
-    cell; of the pressure, by the slope of F_ce - K x; of the displacement, by K, and by B in the velocity.
+    """Variance of the residual of each segment [N^2], shape (n,), and covariance of each with the next, shape (n - 1,).
+
+    A residual is that of F_L + M x'' + K x + B x' - F_ce: noise of the cell, or of M x'' without a cell; of the
+    pressure, by the slope of F_ce - K x; of the displacement, by K, and by B in the velocity. `late` is the standard
+    deviation of the time of single samples of each channel [s], which acts as noise while it changes.
     """
-    K = fit.values("K", segments.pressure)
-    return covariance(segments, force_by_pressure(segments, fit), K, fit.damping(segments), noise, late)
+    K, B = fit.values("K", segments.pressure), fit.damping(segments)
+    s, m, dt = segments.v.shape[1], segments.reach, segments.dt
+    # weights of the samples from start - m - 1 on; the next segment starts s later
+    mean, speed, gained = (np.zeros(2 * s) for _ in range(3))
+    mean[1 : s + 2 * m + 1] = segments.weights
+    speed[2 * m + 1 : s + 2 * m + 1] += 1 / (2 * m * s * dt)
+    speed[1 : s + 1] -= 1 / (2 * m * s * dt)
+    for place, sign in ((s + 2 * m + 1, 1), (s + 1, -1), (2 * m, -1), (0, 1)):
+        gained[place] += sign / (2 * m * dt * (s + 1) * dt)
+    x = K[:, None] * mean + B[:, None] * speed + segments.mass[:, None] * gained
+    moving = np.hypot(noise.displacement, segments.v.mean(axis=1) * late.displacement)
+    pressing = force_by_pressure(segments, fit) * np.hypot(noise.pressure, _rate(segments.P, dt) * late.pressure)
+    pulling = np.hypot(noise.force, _rate(segments.F_mid, dt) * late.force)
+    force = np.where(segments.mass > 0, 0.0, pulling)
+    own = moving**2 * np.sum(x**2, axis=1)
+    own += (pressing**2 + force**2) * (mean @ mean)
+    shared = float(mean[s:] @ mean[:s])
+    after = moving[:-1] * moving[1:] * np.sum(x[:-1, s:] * x[1:, :s], axis=1)
+    after += (pressing[:-1] * pressing[1:] + force[:-1] * force[1:]) * shared
+    return np.asarray(own), np.where(segments.followed, after, 0.0)
+
+
+def _rate(values: Array, dt: float) -> Array:
+    """Mean rate of a channel over each segment [1/s], shape (n,), from `values` (n, w)."""
+    return np.asarray((values[:, -1] - values[:, 0]) / (max(1, values.shape[1] - 1) * dt))
 
 
 def force_by_pressure(segments: Segments, fit: Fit) -> Array:

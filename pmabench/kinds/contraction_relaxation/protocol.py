@@ -212,7 +212,7 @@ class ContractionRelaxation(ProtocolHead):
         }
 
     def _loaded(self, c: Compilation, point: Point) -> dict[str, float]:
-        """Add a point's load to the plan; F_L [N], with half the weight of a vertical muscle, and moving mass [kg]."""
+        """Add the load of a point to the plan; F_L [N] and moving mass [kg], with half of a vertical muscle in both."""
         values = c.load(point.values["load"], point.places["load"])
         own = 0.0
         if self.layout == "vertical":

@@ -20,8 +20,8 @@ from pmabench.analysis.shared.student import half_width
 from pmabench.analysis.shared.trials import reference_findings
 from pmabench.analysis.trial import DRIFT, Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
-from pmabench.kinds.contraction_relaxation import RESULTS, checks, exponentials
-from pmabench.kinds.contraction_relaxation.bandwidth import gathered, regulator
+from pmabench.kinds.contraction_relaxation import RESULTS, bandwidth, checks, exponentials
+from pmabench.kinds.contraction_relaxation.bandwidth import Recorded, regulator
 from pmabench.kinds.contraction_relaxation.checks import free_runs
 from pmabench.kinds.contraction_relaxation.diagnosis.held_out import Test
 from pmabench.kinds.contraction_relaxation.diagnosis.hiding import hidden, of_the_sensors
@@ -54,7 +54,7 @@ from pmabench.kinds.contraction_relaxation.segments import (
     samples_of,
     strokes,
 )
-from pmabench.kinds.contraction_relaxation.values import FEWEST, FORMS, METHOD, Solution, compare_orders, curve, values
+from pmabench.kinds.contraction_relaxation.values import FEWEST, FORMS, METHOD, best_orders, curve, values
 from pmabench.store.analyses.results import Analysis, Curve, Dropped, Estimate, Finding, withhold, without_value
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -77,8 +77,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     M x'' + B(P) x' + K(P) x + F_c sign(x') = F_ce(P) - F_L (paper 0), fitted to all trials at once over short moving
     segments with the measured pressure; for comparison K by regression over loads and B = K tau of an exponential.
 
-    `options`: `speed` (least speed of the segments [m/s]), `replays` (number), `static` = {"intercept" [N], "slope"
-    [N/Pa]}, F_ce of a static-load study, for K as the only unknown; `regulator`: dead time and lags of the pressure.
+    `options`: `replays` (number), `regulator`: also dead time and lags of the pressure.
     """
     options = options or {}
     campaign, dropped = gather(runs)
@@ -90,14 +89,15 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     facts = {"options": dict(options), "trials": sum(len(run.trials) for run in runs)}
     if campaign is None or pooled is None:
         return _without_fit(runs, campaign, dropped, reason, {**facts, "trials_used": 0})
-    recorded, late = gathered(campaign, pooled.diagnosis)
+    recorded = Recorded.of(campaign, pooled.diagnosis)
     campaign, diagnosis = pooled.campaign, pooled.diagnosis
-    estimates, curves = estimates_of(campaign, pooled)
-    stepwise = exponentials.compare(campaign, (recorded, late), pooled, estimates, options)
+    estimates, curves = estimates_of(pooled)
+    stepwise = exponentials.compare(pooled, estimates)
+    widths = bandwidth.estimates(campaign, estimates, recorded)
     dropped += _unmoved(campaign, pooled)
-    response, described = regulator(recorded, *late.values()) if options.get("regulator") else ([], [])
+    response, described = regulator(recorded) if options.get("regulator") else ([], [])
     simulated = free_runs(campaign, pooled, estimates)
-    every = (*estimates, *stepwise.estimates)
+    every = (*estimates, *stepwise.estimates, *exponentials.onsets(recorded, pooled), *widths)
     reported = withheld(every, diagnosis)
     gone = {e.symbol for e in reported if e.withheld}
     return Analysis.of(
@@ -119,7 +119,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         facts={
             **facts,
             **checks.facts(campaign, pooled, simulated),
-            **stepwise.facts,
+            "steps": stepwise.steps,
         },
         refusals=[f"{KIND}: {diagnosis.refusal}"] if diagnosis.refusal else [],
     )
@@ -157,12 +157,11 @@ def withheld(estimates: Sequence[Estimate], diagnosis: Diagnosis) -> list[Estima
     return result
 
 
-def segments_like(campaign: Campaign, options: Mapping[str, Any]) -> tuple[Array, Cut]:
+def segments_like(campaign: Campaign) -> tuple[Array, Cut]:
     """First knots of the fit [Pa], and the function that cuts samples into segments within their range."""
-    gate = Gate(speed=float(options.get("speed", Gate.speed)))
     commanded = np.unique([c.value for trial in campaign.trials for c in trial.commands if c.output == "pressure"])
     knots = first_knots(np.array(campaign.tested), commanded)
-    return knots, lambda samples: cut(samples, campaign.rate, gate).within(knots)
+    return knots, lambda samples: cut(samples, campaign.rate, Gate()).within(knots)
 
 
 def _replays(
@@ -186,7 +185,7 @@ def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
     """The pooled fit of the corrected campaign with its uncertainty; None where nothing moves; NotUsable where the
     fitted muscle does not move in the replays.
     """
-    knots, segments_of = segments_like(recorded, options)
+    knots, segments_of = segments_like(recorded)
     as_recorded = segments_of(recorded.samples)
     if len(as_recorded) < 2 * FEWEST:
         return None
@@ -266,18 +265,15 @@ def _moving(campaign: Campaign, segments: Segments) -> list[tuple[Samples, slice
     return pieces
 
 
-def estimates_of(campaign: Campaign, pooled: Pooled) -> tuple[list[Estimate], list[Curve]]:
+def estimates_of(pooled: Pooled) -> tuple[list[Estimate], list[Curve]]:
     """The primary method's coefficients at the tested pressures, and curves through them."""
-    found = pooled.diagnosis
-    solution = Solution(campaign, pooled.segments, pooled.fit, pooled.trust, METHOD, found.note, found.stiffness_is)
-    estimates = values(solution)
+    estimates = values(pooled)
     curves = []
     for symbol, orders in ORDERS.items():
         known = [e for e in estimates if e.symbol == symbol and e.value is not None]
         places = [pooled.fit.columns(symbol).start + pooled.fit.at(e.at["pressure"]) for e in known]
-        scores = compare_orders(np.array([e.at["pressure"] for e in known]), np.array([e.value for e in known], float))
-        best = min(scores, key=lambda order: scores[order][0], default=1)
-        for order in sorted({*orders, best}):
+        best = best_orders(np.array([e.at["pressure"] for e in known]), np.array([e.value for e in known], float))
+        for order in sorted({*orders, *best[:1]}):
             curves.append(curve(known, order, pooled.trust, places, normalised=order > max(FORMS)))
     return estimates, [through for through in curves if through is not None]
 
@@ -351,7 +347,7 @@ def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Qu
 
 def _single_step(run: RunData, trial: TrialData) -> Found:
     """x_max and tau of one of paper 1's steps; K of a contraction, with F_ce from the braid."""
-    from pmabench.kinds.contraction_relaxation.paper1_steps import STILL, Braid, read  # 50 MB with all models
+    from pmabench.kinds.contraction_relaxation.paper1 import STILL, Braid, read  # 50 MB with all models
 
     asked = (run.plan.get("settings") or {}).get("reduction") or {}
     step = read(samples_of(run, trial, 0), trial)

@@ -1,4 +1,4 @@
-"""Trials cut into short segments of motion, the rows of the pooled fit, and the effect of white noise on them.
+"""Trials cut into short segments of motion, the rows of the pooled fit; and the noise of the channels.
 
 A segment is a stretch of about 40 ms in which the muscle moves in one direction, faster than a limit, off its support,
 without a flagged sample. Averages over it give the equation of motion in weak form.
@@ -336,47 +336,6 @@ def _levels(column: Array) -> Array:
         if (levels.take(counts) == column).all():
             return np.asarray(levels[np.isfinite(levels)])
     return np.sort(column)
-
-
-ON_TIME = Noise()
-"""For samples with time stamps of the device's own clock: an error of that clock is no noise."""
-
-
-def covariance(
-    segments: Segments, slope: Array, K: Array, B: Array, noise: Noise, late: Noise = ON_TIME
-) -> tuple[Array, Array]:
-    """Variance of each row [N^2], shape (n,), and covariance of each with the next, shape (n - 1,).
-
-    `late` is the standard deviation of the time of single samples of each channel [s], which acts as noise while it
-    changes.
-
-    A row is F_L + M x'' + K x + B x' - F_ce. `slope` is its derivative by the pressure [N/Pa], with K [N/m] and B
-    [N.s/m] at each segment, shape (n,).
-    """
-    s, m, dt = segments.v.shape[1], segments.reach, segments.dt
-    # weights of the samples from start - m - 1 on; the next segment starts s later
-    mean, speed, gained = (np.zeros(2 * s) for _ in range(3))
-    mean[1 : s + 2 * m + 1] = segments.weights
-    speed[2 * m + 1 : s + 2 * m + 1] += 1 / (2 * m * s * dt)
-    speed[1 : s + 1] -= 1 / (2 * m * s * dt)
-    for place, sign in ((s + 2 * m + 1, 1), (s + 1, -1), (2 * m, -1), (0, 1)):
-        gained[place] += sign / (2 * m * dt * (s + 1) * dt)
-    x = K[:, None] * mean + B[:, None] * speed + segments.mass[:, None] * gained
-    moving = np.hypot(noise.displacement, segments.v.mean(axis=1) * late.displacement)
-    pressing = slope * np.hypot(noise.pressure, _rate(segments.P, dt) * late.pressure)
-    pulling = np.hypot(noise.force, _rate(segments.F_mid, dt) * late.force)
-    force = np.where(segments.mass > 0, 0.0, pulling)
-    own = moving**2 * np.sum(x**2, axis=1)
-    own += (pressing**2 + force**2) * (mean @ mean)
-    shared = float(mean[s:] @ mean[:s])
-    after = moving[:-1] * moving[1:] * np.sum(x[:-1, s:] * x[1:, :s], axis=1)
-    after += (pressing[:-1] * pressing[1:] + force[:-1] * force[1:]) * shared
-    return np.asarray(own), np.where(segments.followed, after, 0.0)
-
-
-def _rate(values: Array, dt: float) -> Array:
-    """Mean rate of a channel over each segment [1/s], shape (n,), from `values` (n, w)."""
-    return np.asarray((values[:, -1] - values[:, 0]) / (max(1, values.shape[1] - 1) * dt))
 
 
 FILLED = 1.75

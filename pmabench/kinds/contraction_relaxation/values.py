@@ -6,21 +6,21 @@ Also polynomials through coefficients at several pressures, with interval parts.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from math import hypot, log, sqrt
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.shared import skew, student
 from pmabench.analysis.shared.calibration import sentences
+from pmabench.analysis.shared.samples import Samples
 from pmabench.analysis.verdict.agreement import Offer, anywhere, at_pressures, everywhere, exactly, straight, weighted
 from pmabench.base.quantities import show
-from pmabench.kinds.contraction_relaxation.intervals import Trust
-from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Fit
-from pmabench.kinds.contraction_relaxation.segments import Campaign, Segments
-from pmabench.store.analyses.results import Analysis, Curve, Estimate, Finding, Parts, Source, without_value
+from pmabench.kinds.contraction_relaxation.intervals import Pooled, Trust
+from pmabench.kinds.contraction_relaxation.pooled import FLOOR, SYMBOLS, design_of, first_knots, least_squares, prior_of
+from pmabench.kinds.contraction_relaxation.segments import Gate, Segments, cut
+from pmabench.store.analyses.results import Analysis, Curve, Estimate, Parts, Source, without_value
 from pmabench.store.records import Array
 
 METHOD = "measured-pressure"
@@ -43,35 +43,11 @@ QUANTITY = {
 NOWHERE: Mapping[str, float] = {}
 
 
-@dataclass(frozen=True)
-class Further:
-    """Results of a method in addition to the primary one."""
-
-    estimates: tuple[Estimate, ...] = ()
-    curves: tuple[Curve, ...] = ()
-    findings: tuple[Finding, ...] = ()
-    facts: Mapping[str, Any] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, eq=False)
-class Solution:
-    """A fit and what is needed to evaluate it."""
-
-    campaign: Campaign
-    segments: Segments
-    fit: Fit
-    trust: Trust
-    method: str
-    note: str = ""
-    stiffness_is: Callable[[float], str] = lambda P: ""
-    """Pressure [Pa] -> which K it is, in words; empty where there is only one."""
-
-
-def values(solution: Solution) -> list[Estimate]:
+def values(pooled: Pooled) -> list[Estimate]:
     """F_ce [N], K [N/m], B_c, B_r [N.s/m] at every tested pressure, and F_c [N]; None with a note where there is no
     value.
     """
-    found = [_at(solution, symbol, P) for symbol in SYMBOLS for P in solution.campaign.tested]
+    found = [_at(pooled, symbol, P) for symbol in SYMBOLS for P in pooled.campaign.tested]
     stiff = {e.at["pressure"] for e in found if e.symbol == "K" and e.value is not None}
     found = [
         without_value(e, OPEN_FORCE)
@@ -79,10 +55,10 @@ def values(solution: Solution) -> list[Estimate]:
         else e
         for e in found
     ]
-    friction = _blank(solution, "F_c", np.ones(len(solution.segments), bool))
-    if solution.fit.friction:
-        row = solution.fit.row("F_c", 0.0)
-        friction = _given(solution, friction, row, solution.trust.budget(row))
+    friction = _blank(pooled, "F_c", np.ones(len(pooled.segments), bool))
+    if pooled.fit.friction:
+        row = pooled.fit.row("F_c", 0.0)
+        friction = _given(pooled, friction, row, pooled.trust.budget(row))
     else:
         note = "not identifiable: the samples move one way only, and F_ce carries the friction"
         friction = replace(friction, note=note)
@@ -127,38 +103,67 @@ def near(segments: Segments, knots: Array, symbol: str, P: float) -> NDArray[np.
     return np.asarray(found & ((segments.way > 0) == (symbol == "B_c")) if symbol in ("B_c", "B_r") else found)
 
 
-def _blank(solution: Solution, symbol: str, rows: NDArray[np.bool_], at: Mapping[str, float] = NOWHERE) -> Estimate:
+def fit_known_force(
+    samples: Sequence[Samples], rate: float, tested: Array, force: Callable[[Array], Array]
+) -> dict[float, tuple[float, float]]:
+    """K [N/m] and B_c [N.s/m] at those tested pressures [Pa] near which samples move, from contractions alone.
+
+    `force` gives F_ce [N] at pressures [Pa]. Friction, which has one direction here, acts like a smaller F_ce and is
+    not separated.
+    """
+    knots = first_knots(tested, np.empty(0))
+    segments = cut(samples, rate, Gate()).within(knots)
+    segments = segments.where(segments.way > 0)
+    if len(segments) < FEWEST:
+        return {}
+    design = design_of(segments, knots)
+    k = len(knots)
+    wanted = slice(SYMBOLS.index("K") * k, (SYMBOLS.index("B_c") + 1) * k)
+    known = force(segments.P) @ segments.weights
+    noise = FLOOR * float(np.sqrt(np.mean(known**2)))
+    prior = prior_of(segments, knots, noise)
+    rows = prior[np.any(prior[:, wanted] != 0, axis=1)][:, wanted]
+    theta = least_squares(design[:, wanted], segments.force - known, rows)
+    found = {}
+    for P in tested:
+        knot = int(np.argmin(np.abs(knots - P)))
+        if near(segments, knots, "K", float(P)).sum() >= FEWEST:
+            found[float(P)] = float(theta[knot]), float(theta[k + knot])
+    return found
+
+
+def _blank(pooled: Pooled, symbol: str, rows: NDArray[np.bool_], at: Mapping[str, float] = NOWHERE) -> Estimate:
     """An estimate, without a value yet, of a coefficient that these rows of the segments determine."""
-    names = tuple(solution.campaign.name(int(number)) for number in np.unique(solution.segments.trial[rows]))
-    note = sentences(solution.note, solution.stiffness_is(at["pressure"]) if symbol == "K" else "")
-    return Estimate(symbol, None, *QUANTITY[symbol], solution.method, at, n=len(names), note=note, trials=names)
+    names = tuple(pooled.campaign.name(int(number)) for number in np.unique(pooled.segments.trial[rows]))
+    note = sentences(pooled.diagnosis.note, pooled.diagnosis.stiffness_is(at["pressure"]) if symbol == "K" else "")
+    return Estimate(symbol, None, *QUANTITY[symbol], METHOD, at, n=len(names), note=note, trials=names)
 
 
-def _given(solution: Solution, blank: Estimate, row: Array, known: tuple[Parts, float, tuple[Source, ...]]) -> Estimate:
+def _given(pooled: Pooled, blank: Estimate, row: Array, known: tuple[Parts, float, tuple[Source, ...]]) -> Estimate:
     """A linear combination of the unknowns with its parts, bias and budget; no value where the clock error is too
     large.
     """
     parts, bias, budget = known
-    value = float(row @ solution.fit.theta) - bias
+    value = float(row @ pooled.fit.theta) - bias
     found = replace(blank, value=value, parts=parts, bias=bias, corrected=True, budget=budget)
-    return skew.settled(found, "the channels", solution.campaign.skew)
+    return skew.settled(found, "the channels", pooled.campaign.skew)
 
 
-def _at(solution: Solution, symbol: str, P: float) -> Estimate:
+def _at(pooled: Pooled, symbol: str, P: float) -> Estimate:
     """One coefficient at one pressure [Pa]; without a value and with a note where it is not identifiable."""
-    solved = solution.fit
-    rows = near(solution.segments, solved.knots, symbol, P)
-    blank = _blank(solution, symbol, rows, {"pressure": P})
+    solved = pooled.fit
+    rows = near(pooled.segments, solved.knots, symbol, P)
+    blank = _blank(pooled, symbol, rows, {"pressure": P})
     moving = {"B_c": "contracting", "B_r": "relaxing"}.get(symbol, "moving")
     if rows.sum() < FEWEST:
         return replace(blank, note=f"not identifiable: no {moving} samples near this pressure")
     row = solved.row(symbol, P)
     value = float(row @ solved.theta)
-    known = solution.trust.budget(row, NUMERICS * abs(value))
+    known = pooled.trust.budget(row, NUMERICS * abs(value))
     size = float(np.median(np.abs(solved.values(symbol, solved.knots))))
     if (known[0].repeats or 0.0) > WIDE * max(abs(value), size):
         return replace(blank, note=f"not identifiable: the {moving} samples near this pressure leave it open")
-    return _given(solution, blank, row, known)
+    return _given(pooled, blank, row, known)
 
 
 def offers(analysis: Analysis) -> Iterator[Offer]:
@@ -208,7 +213,7 @@ MOST_ORDER = 6
 EXACT = 1e-9
 """Residual, as a share of the largest value, below which it counts as zero when orders are compared."""
 FORMS = {1: "line", 2: "quadratic"}
-FLOOR = 5e-3
+LEAST_ERROR = 5e-3
 """Smallest error for the weight of a point of a curve, as a share of the largest value, so that no point dominates."""
 POWERS = (("", ""), ("/Pa", " per pressure"), ("/Pa2", " per pressure squared"))
 """Suffixes of unit and quantity for the powers of a curve over pressure."""
@@ -228,12 +233,12 @@ class Polynomial:
 
 
 def polynomial(P: Array, y: Array, half: Array, order: int, normal: tuple[float, float] | None = None) -> Polynomial:
-    """Fit over pressures P (n,) [Pa], weighted by the half widths (n,) with at least `FLOOR`.
+    """Fit over pressures P (n,) [Pa], weighted by the half widths (n,) with at least `LEAST_ERROR`.
 
     The terms are powers of P, or with `normal` = (centre, scale) [Pa] of z = (P - centre) / scale.
     """
     centre, scale = normal or (0.0, float(np.max(np.abs(P))))
-    weight = 1.0 / np.hypot(half, FLOOR * float(np.max(np.abs(y))))
+    weight = 1.0 / np.hypot(half, LEAST_ERROR * float(np.max(np.abs(y))))
     design = ((P[:, None] - centre) / scale) ** np.arange(order + 1)
     inverse = np.linalg.inv((design * weight[:, None] ** 2).T @ design)
     rows = inverse @ (design * weight[:, None] ** 2).T
@@ -254,10 +259,10 @@ def normal_of(P: Array) -> tuple[float, float]:
     return float(np.mean(P)), float(np.std(P, ddof=1))
 
 
-def compare_orders(P: Array, y: Array) -> dict[int, tuple[float, float]]:
-    """Order -> corrected Akaike criterion, and rms error of each point predicted by the others [unit of y].
+def best_orders(P: Array, y: Array) -> list[int]:
+    """Orders of polynomials through y (n,) over P (n,), best first by the corrected Akaike criterion.
 
-    Orders from 1 to `MOST_ORDER` for which the criterion is defined: at least order + 4 points.
+    From 1 to `MOST_ORDER`, those for which the criterion is defined: at least order + 4 points.
     """
     floor = EXACT * float(np.max(np.abs(y), initial=0.0))
     n, even = len(P), np.zeros(len(P))
@@ -265,13 +270,9 @@ def compare_orders(P: Array, y: Array) -> dict[int, tuple[float, float]]:
     for order in range(1, min(MOST_ORDER, n - 4) + 1):
         fitted = polynomial(P, y, even, order, normal_of(P))
         z = (P - normal_of(P)[0]) / normal_of(P)[1]
-        design = z[:, None] ** np.arange(order + 1)
-        residual = y - design @ fitted.terms
-        lever = np.sum(design * fitted.rows.T, axis=1)
-        power = max(float(residual @ residual) / n, floor**2)
-        p = order + 2
-        found[order] = aicc(power, n, p), sqrt(float(np.mean((residual / np.maximum(1 - lever, EXACT)) ** 2)))
-    return found
+        residual = y - z[:, None] ** np.arange(order + 1) @ fitted.terms
+        found[order] = aicc(max(float(residual @ residual) / n, floor**2), n, order + 2)
+    return sorted(found, key=found.__getitem__)
 
 
 def aicc(power: float, n: int, p: int) -> float:
@@ -296,7 +297,7 @@ def curve(
 ) -> Curve | None:
     """A polynomial over the estimates' pressures; None with fewer than `order` + 2 of them.
 
-    As many terms as points go through all of them, and nothing shows how far the curve is off between. With `trust` and
+    A curve with as many terms as points would pass through all of them and leave no residual. With `trust` and
     `places`, the indices of the estimates in its fit, correlations between them count; else they are taken as
     independent. The scatter of the points about the curve is the method part. `normalised`: the terms are those of
     z = (P - centre) / scale, with the unit of the coefficient (paper 1 eqs. 17-20).

@@ -3,7 +3,7 @@
 - `reduction`, made of `curve` (force over pressure at one contraction, and where it begins), `sections` (all
   contractions at one pressure), `braid` (S over contraction), `flow` (volume by a mass flow meter)
 - `form`: whether the tests have the assumed form, and zero errors that show at rest
-- protocol files: `protocol`; sentences and figures: `figures`; one trial on the display: `reduction`
+- protocol files: `protocol`; one trial on the display: `reduction`
 """
 
 from pmabench.base.kind import Commanded, Imported, Kind, Result
@@ -72,8 +72,7 @@ KIND = Kind(
     methods=METHODS,
     figures={
         "isometric": "pmabench.plotting.motion:isometric",
-        "flow-volume": "pmabench.kinds.isometric_pressurisation.figures:volumes",
-        "section": "pmabench.kinds.isometric_pressurisation.figures:sections",
+        "section": "pmabench.kinds.isometric_pressurisation.braid:pictures",
     },
     front={"isometric": "pmabench.plotting.motion:isometric"},
     published={"isometric": ("pressure", "force", "displacement")},

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import asin, atan, hypot, pi, sqrt
+from math import asin, atan, degrees, hypot, pi, sqrt
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,11 @@ from pmabench.analysis.shared.calibration import Scales
 from pmabench.base.quantities import show
 from pmabench.kinds.isometric_pressurisation.curve import Cell
 from pmabench.model.library.daerden import section_factor
-from pmabench.store.analyses.results import Estimate, Parts
+from pmabench.plotting.chart import Chart, Series
+from pmabench.plotting.looks import BLUE
+from pmabench.plotting.pictures import Picture, column, has, numbers, of_charts, unit_of
+from pmabench.plotting.wording import shown
+from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array
 
 SECTION = "daerden-section"
@@ -246,3 +250,95 @@ def _sections_again(one: Section, scales: Scales, length: float) -> list[Section
         ways.append(replace(slopes, eps=slopes.eps * (1 + share)))
     fits = [fit(way, one.given) for way in ways]
     return [other for other in fits if other is not None]
+
+
+CURVE = 60
+"""Points of a drawn curve."""
+COLUMNS = ("contraction", "slope", "half", "curve", "low", "high")
+
+
+def of_sections(sections: Mapping[str, Section], given: Mapping[str, Any]) -> list[Finding]:
+    """S(eps): the result, its quality, and parameters that these slopes do not determine."""
+    if "nominal_length" not in given:
+        return [Finding("doubt", "S(eps) is not reported: the specimen has no nominal length")]
+    if not sections:
+        text = "S(eps) is not reported: fewer than three contractions with a slope, or slopes that no braid gives"
+        return [Finding("note", text)]
+    found = []
+    for method, one in sections.items():
+        largest = float(np.abs(one.slopes.S).max())
+        off = float(np.max(np.abs(one.slopes.S - one.at(one.slopes.eps)))) / largest
+        text = f"{method}: slopes within {off:.2%} of the curve"
+        if one.freedom > 0:
+            text += f", the curve known to +-{float(one.band(one.slopes.eps).max()) / largest:.2%} of its largest value"
+        found.append(Finding("note", text))
+        if one.open and not one.other_form:
+            found.append(Finding("doubt", f"{method}: {_open(one)}"))
+        if one.other_form:
+            text = "slopes lie further from the curve than they scatter: S(eps) has another form here"
+            level = "note" if one.free != NAMES else "doubt"
+            found.append(Finding(level, f"{method}: {text}; no parameters are reported"))
+    return found
+
+
+def _open(one: Section) -> str:
+    """Parameters that are not determined, and their ranges."""
+    text = f"{', '.join(one.open)} cannot be determined separately from these contractions"
+    if one.freedom < 1:
+        return f"{text}: as many parameters as slopes. Measure at more contractions"
+    sets = [
+        f"alpha {values[2]:.3g} with D_0 {show(float(values[0]), 'length', 3)}"
+        for values in sorted(one.as_good or [one.values], key=lambda values: float(values[2]))
+    ]
+    if len(sets) > 1:
+        text += f": {' and '.join(sets)} fit alike"
+    if min(abs(one.alpha - end) for end in ALPHAS) < 1e-3:
+        text += f"; alpha runs to the end of its range, {one.alpha:.3g}"
+    return f"{text}. Give inner_diameter in the specimen file, or measure a wider range"
+
+
+def section_trace(one: Section, cells: Sequence[Cell], length: float) -> Trace:
+    """Measured slopes first, with their half widths; then the curve with its band."""
+    half = np.array([cell.pooled.half("m") or np.nan for cell in cells if cell.pooled is not None])
+    eps = np.linspace(one.slopes.eps.min(), one.slopes.eps.max(), CURVE)
+    none, blank = np.full(len(one.slopes.S), np.nan), np.full(CURVE, np.nan)
+    curve, band = one.at(eps), one.band(eps)
+    both = {
+        "contraction": (one.slopes.eps, eps), "slope": (one.slopes.S, blank), "half": (half, blank),
+        "curve": (none, curve), "low": (none, curve - band), "high": (none, curve + band),
+    }  # fmt: skip
+    columns = {name: np.concatenate(pair) for name, pair in both.items()}
+    quantities = dict.fromkeys(columns, "force per pressure") | {"contraction": "ratio"}
+    marks = {name: getattr(one, name) for name in NAMES} | {"length": length}
+    title = "S over contraction: slopes of force over pressure, and the curve of the modified Daerden model"
+    return Trace("section", "section", title, columns, quantities, marks)
+
+
+def pictures(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
+    """One figure for each trace: slopes and the curve."""
+    return [_picture(trace, analysis.simulated) for trace in traces if has(trace, *COLUMNS)]
+
+
+def _picture(trace: Trace, simulated: bool) -> Picture:
+    eps, slope, half, curve, low, high = (column(trace, name) for name in COLUMNS)
+    point, line = np.isfinite(slope), np.isfinite(curve)
+    band = np.where(np.isfinite(high - low), 0.5 * (high - low), 0.0)
+    fitted_line = Series("", eps[line], curve[line], BLUE, half=band[line])
+    points = Series("", eps[point], slope[point], BLUE, "o", half[point])
+    labels = (unit_of(trace, "contraction").label("contraction ε"), unit_of(trace, "slope").label("S"))
+    length, fitted = shown("length"), "its parameters are in the table"
+    if {*NAMES} <= set(trace.marks):
+        D_0, theta_0, alpha = (trace.marks[name] for name in NAMES)
+        fitted = f"D0 {D_0 / length.scale:.4g} {length.unit}, θ0 {degrees(theta_0):.4g}°, α {alpha:.4g}"
+    caption = (
+        "Marks: slopes of force over pressure with their 95 % intervals; line: S(ε) = (π/4) D0² [3 (1 − ε)^α / tan² θ0 "
+        f"− 1 / sin² θ0] of paper 3 through them, with its 95 % band ({fitted}). The curve may be known well where its "
+        "parameters are not."
+    )
+    alt = (
+        f"{labels[1]} over {labels[0]}: {int(point.sum())} slopes from {slope[point].max():.4g} down to "
+        f"{slope[point].min():.4g}, and a curve through them with a band."
+    )
+    chart = Chart(*labels, (fitted_line, points), alt=alt)
+    title, table = "Force by pressure, S, over contraction", numbers([("", trace)])
+    return of_charts([[chart]], title, caption, alt, table, simulated=simulated)

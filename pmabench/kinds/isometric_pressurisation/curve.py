@@ -5,10 +5,11 @@ Works on the tests of one contraction, without a model over contractions.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import sqrt
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +17,9 @@ from pmabench.analysis.shared import isometric_lines, skew
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.isometric_lines import METHOD, Line, Mask, Pooled, Test, by_repeat, spread
 from pmabench.analysis.shared.samples import SEEN, ends, noise_of, onset
-from pmabench.store.analyses.results import Estimate, Parts
+from pmabench.analysis.shared.trials import thinned
+from pmabench.base.quantities import show
+from pmabench.store.analyses.results import Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, RunData, TrialData
 
 PHASES = ("fill", "empty")
@@ -361,3 +364,83 @@ def _bent_zero(cell: Cell, value: float) -> float:
     inner = slope * slope - 4 * bend * start
     off = 2 * start / (slope + np.sqrt(inner)) if inner > 0 and slope > 0 else start / slope
     return value - float(off)
+
+
+MOVED = 0.01
+"""Change of the force because the driven end moves, as a share of its span, from which on it is a doubt."""
+NEAR = 0.01
+"""Contractions that count as 0, as a share of the nominal length."""
+
+
+def of_cells(cells: Sequence[Cell]) -> list[Finding]:
+    """Doubts about contractions without a straight part, and about ends that gave way."""
+    found = []
+    for cell in cells:
+        where = f"contraction {show(cell.contraction, 'length', 4)}"
+        if cell.pooled is None or cell.low is None:
+            why = f"even its upper half leaves a line by {show(cell.off, 'force', 3)}"
+            why = why if cell.off > 0 else "filling and emptying have too few pressures in common for a line"
+            found.append(Finding("doubt", f"{where}: F(P) has no straight part: {why}; no slope is reported"))
+        else:
+            found += _moved(cell, where)
+    return found
+
+
+def _moved(cell: Cell, where: str) -> Iterator[Finding]:
+    """A doubt if the driven end gave way while the force rose."""
+    pulled = [test.x[np.isfinite(test.x) & pulling(test)] for test in cell.tests]
+    most = max((float(np.ptp(x)) for x in pulled if len(x)), default=0.0)
+    off = cell.place - cell.contraction
+    if most > 2e-4 and most > MOVED * max(abs(cell.contraction), 10e-3):
+        span = show(float(np.nanmax(cell.mean.force) - np.nanmin(cell.mean.force)), "force", 3)
+        text = f"the driven end moved by up to {show(most, 'length', 2)} while the force changed by {span}"
+        yield Finding("doubt", f"{where}: {text}; it is not isometric")
+    if np.abs(off).max() > 5e-4:
+        text = f"it was measured {show(float(off[np.argmax(np.abs(off))]), 'length', 2)} off; what was measured counts"
+        yield Finding("note", f"{where}: {text}")
+
+
+def of_threshold(begun: Sequence[Estimate], given: Mapping[str, Any]) -> list[Finding]:
+    """The dead band: the pressure at which the force begins at the nominal length."""
+    known = [e for e in begun if e.value is not None]
+    if not known:
+        return []
+    at = min((e.at["contraction"] for e in known), key=abs)
+    if abs(at) > NEAR * float(given.get("nominal_length", 0.25)):
+        return [Finding("note", "the dead band of pressure is that at contraction 0, which is not among the tests")]
+    found = []
+    for e in (e for e in known if e.at["contraction"] == at):
+        half = e.parts.combined
+        interval = f" +- {show(half, 'pressure', 2)}" if half is not None else ""
+        found.append(f"{show(e.value or 0.0, 'pressure', 4)}{interval} ({e.method})")
+    where = f"contraction {show(at, 'length', 3)}"
+    return [Finding("note", f"dead band: at {where} the force begins at {', '.join(found)}")]
+
+
+def force_trace(cell: Cell) -> Trace:
+    """Force over pressure of all tests, and the line through the straight part."""
+    P, F, phase = (np.concatenate([getattr(test, name) for test in cell.tests]) for name in ("P", "F", "phase"))
+    marks = {"contraction": cell.contraction}
+    fitted = np.full(len(P), np.nan)
+    if cell.pooled is not None and cell.low is not None:
+        line = cell.pooled.line
+        fitted = np.where(cell.low <= P, line(P), np.nan)
+        marks |= {"m": line.m, "c": line.c, "low": cell.low, "high": line.high}
+    title = f"Force over pressure at a contraction of {show(cell.contraction, 'length', 3)}, and its straight part"
+    columns = {"pressure": P, "force": F, "fit": fitted, "branch": phase}
+    quantities = {"pressure": "pressure", "force": "force", "fit": "force", "branch": "count"}
+    return Trace(f"isometric-{cell.contraction * 1e3:g}mm", "isometric", title, thinned(columns), quantities, marks)
+
+
+def over_time(cell: Cell) -> Trace:
+    """Pressure and force of the first test over time (paper 4)."""
+    test = cell.tests[0]
+    trial = test.trial
+    during = np.flatnonzero((trial.t >= test.t[0] - REST) & (trial.t <= test.t[-1] + REST))
+    columns = {"t": trial.t[during] - trial.t[during[0]]}
+    columns |= {name: trial.channels[name][during] for name in ("pressure", "force")}
+    title = f"Pressure and force over time at a contraction of {show(cell.contraction, 'length', 3)}"
+    quantities, marks = {"t": "time", "pressure": "pressure", "force": "force"}, {"contraction": cell.contraction}
+    return Trace(
+        f"over-time-{cell.contraction * 1e3:g}mm", "pressurisation", title, thinned(columns), quantities, marks
+    )

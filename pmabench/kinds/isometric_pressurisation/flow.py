@@ -22,7 +22,7 @@ from pmabench.analysis.shared.isometric_lines import SAME, spread
 from pmabench.analysis.shared.samples import STEPS, UNUSABLE_SHARE, NotUsable, ends, noise_of
 from pmabench.analysis.shared.trials import grouped, measured_trials
 from pmabench.base.quantities import show
-from pmabench.store.analyses.results import Dropped, Estimate, Finding, Parts, Trace
+from pmabench.store.analyses.results import Dropped, Estimate, Finding, Parts
 from pmabench.store.records import Array, RunData, TrialData
 
 FLOW = "flow"
@@ -158,9 +158,7 @@ def _halves(P: Array, mass: Array, bottom: float, top: float) -> list[float]:
     return [float(np.polyfit(P[rows] - P[rows].mean(), mass[rows], 1)[0]) for rows in parts]
 
 
-def by_flow(
-    runs: Sequence[RunData], scales: Scales
-) -> tuple[list[Estimate], list[Finding], list[Trace], list[Dropped]]:
+def by_flow(runs: Sequence[RunData], scales: Scales) -> tuple[list[Estimate], list[Finding], list[Dropped]]:
     """V [m3] and mean flow [kg/s] at each contraction, if the plan has a meter."""
     found: list[Filling] = []
     dropped: list[Dropped] = []
@@ -190,7 +188,7 @@ def by_flow(
         findings.append(Finding("note", f"{text}{given['temperature']:g} +- {given['temperature_half']:g} K"))
         if lack := scales.lack((FLOW, "pressure")):
             findings.append(Finding("note", lack))
-    return estimates, findings, _traces(estimates, cells), dropped
+    return estimates, findings, dropped
 
 
 def _estimates(x: float, group: Sequence[Filling], given: Mapping[str, Any], scales: Scales) -> list[Estimate]:
@@ -254,15 +252,3 @@ def _words(x: float, group: Sequence[Filling]) -> Finding:
         f"{after:.4g} after, taken off"
     )
     return Finding("note", text)
-
-
-def _traces(estimates: Sequence[Estimate], cells: Mapping[float, Sequence[Filling]]) -> list[Trace]:
-    """V over contraction."""
-    volumes = [e for e in estimates if e.symbol == "V" and e.value is not None]
-    if not volumes:
-        return []
-    halves = [np.nan if e.parts.combined is None else e.parts.combined for e in volumes]
-    columns = {"contraction": np.array([e.at["contraction"] for e in volumes])}
-    columns |= {"volume": np.array([e.value for e in volumes], dtype=np.float64), "half": np.array(halves)}
-    quantities = {"contraction": "length", "volume": "volume", "half": "volume"}
-    return [Trace("flow-volume", "flow-volume", "volume by mass flow over contraction", columns, quantities)]

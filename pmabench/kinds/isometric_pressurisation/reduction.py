@@ -1,7 +1,7 @@
 """Isometric pressurisation: F(P) at each contraction, S(eps), dead band, hysteresis; F_ce and K as a cross-check.
 
 `curve`: lines at one contraction, and where the force begins; `braid`: S(eps); `sections`: several contractions at one
-pressure; `figures`: sentences and figures. Also the values of one trial, for the display.
+pressure. Each has its sentences and figures. Also the values of one trial, for the display.
 """
 
 from __future__ import annotations
@@ -22,11 +22,17 @@ from pmabench.analysis.shared.trials import mean_of_trials
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.analysis.verdict.agreement import Offer, Place, at_pressures, everywhere, exactly, straight, values_of
 from pmabench.base.quantities import show
-from pmabench.kinds.isometric_pressurisation import RESULTS, curve, figures, form, sections
-from pmabench.kinds.isometric_pressurisation.braid import Section, section_estimates, sections_of
+from pmabench.kinds.isometric_pressurisation import RESULTS, curve, form, sections
+from pmabench.kinds.isometric_pressurisation.braid import (
+    Section,
+    of_sections,
+    section_estimates,
+    section_trace,
+    sections_of,
+)
 from pmabench.kinds.isometric_pressurisation.curve import ONE_TEST, PHASES, THRESHOLD, Cell
 from pmabench.kinds.isometric_pressurisation.flow import by_flow
-from pmabench.store.analyses.results import Analysis, Curve, Estimate, Finding, Parts
+from pmabench.store.analyses.results import Analysis, Curve, Estimate, Finding, Parts, Trace
 from pmabench.store.records import RunData, TrialData
 
 KIND = "isometric-pressurisation"
@@ -63,13 +69,13 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     given = {**sections.given_of(runs[0].manifest.get("specimen") if runs else None), **options}
     found = _found(groups, given, scales)
     estimates, cells = _weighed(found, groups, given, scales, opened), found.cells
-    volumes, words, volume_traces, without = by_flow(runs, scales)
+    volumes, words, without = by_flow(runs, scales)
     estimates += volumes
     findings = [
-        *figures.of_threshold([e for e in estimates if e.symbol == "p_0"], given),
-        *figures.of_sections(found.through, given),
-        *figures.of_across(found.across),
-        *figures.of_cells(cells),
+        *curve.of_threshold([e for e in estimates if e.symbol == "p_0"], given),
+        *of_sections(found.through, given),
+        *sections.of_across(found.across),
+        *curve.of_cells(cells),
         *skew.findings(runs, CHANNELS, skew.apart(runs, CHANNELS), estimates),
         *zeros,
         *words,
@@ -85,13 +91,21 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         curves=_curves(cells, estimates),
         dropped=[*dropped, *without],
         findings=findings,
-        traces=[*figures.traces(cells, found.through, given), *sections.blocked_trace(cells), *volume_traces],
+        traces=_traces(cells, found.through, given),
         facts={
             "options": dict(options),
             "specimen": given,
             "tests": sum(len(cell.tests) for cell in cells),
         },
     )
+
+
+def _traces(cells: Sequence[Cell], through: Mapping[str, Section], given: Mapping[str, Any]) -> list[Trace]:
+    """F over P at each contraction, S over eps, both over time for the contraction nearest to 0, F over contraction."""
+    found = list(map(curve.force_trace, cells))
+    found += [section_trace(one, cells, float(given["nominal_length"])) for one in list(through.values())[:1]]
+    found += [curve.over_time(min(cells, key=lambda cell: abs(cell.contraction)))] if cells else []
+    return [*found, *sections.blocked_trace(cells)]
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,8 +22,8 @@ from pmabench.analysis.shared.student import mean_with_half
 from pmabench.analysis.shared.trials import session_of
 from pmabench.analysis.verdict.agreement import side_by_side
 from pmabench.base.quantities import show
-from pmabench.kinds.isometric_pressurisation.curve import BEYOND, Cell
-from pmabench.store.analyses.results import Estimate, Parts, Trace
+from pmabench.kinds.isometric_pressurisation.curve import BEYOND, NEAR, Cell
+from pmabench.store.analyses.results import Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array
 
 GRID = 50e3
@@ -166,8 +166,6 @@ def given_of(specimen: object) -> Mapping[str, float]:
 
 BLOCKED = "blocked"
 FIGURE = "characteristic"
-NEAR = 0.01
-"""Contractions that count as 0, as a share of the nominal length."""
 LENGTH = 0.25
 """Nominal length for that if none is given [m]."""
 EXACT = 1e-4
@@ -289,3 +287,23 @@ def blocked_trace(cells: Sequence[Cell]) -> list[Trace]:
     columns = dict(zip(quantities, np.array(rows).T, strict=True))
     title = "Force over contraction at set pressures, held at one length"
     return [Trace(FIGURE, FIGURE, title, columns, quantities)]
+
+
+BENT = 0.05
+"""A distance from the line over contractions that is reported, as a share of the span of the forces."""
+
+
+def of_across(found: Sequence[Across]) -> list[Finding]:
+    """Whether the three-element model holds over the contractions."""
+    if not found:
+        return [Finding("note", "F_ce and K are not reported: fewer than three contractions pull at the same pressure")]
+    worst = max(found, key=lambda one: one.off / one.span if one.span else 0.0)
+    share = worst.off / worst.span if worst.span else 0.0
+    where = show(worst.pressure, "pressure")
+    text = f"F over contraction leaves a straight line by up to {show(worst.off, 'force', 2)} ({share:.1%}) at {where}"
+    if share <= BENT:
+        return [Finding("note", f"{text}: the three-element model holds over these contractions")]
+    low, high = min(worst.between), max(worst.between)
+    between = f"{show(low, 'stiffness', 3)} to {show(high, 'stiffness', 3)}"
+    text += f": -dF/dx between neighbours is {between}; F_ce and K are those of a straight line through that"
+    return [Finding("doubt", text)]

@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 
 from pmabench.analysis.shared.calibration import Scales
-from pmabench.analysis.surface.choice import FEWEST, Choice, Score, Spread, choose
-from pmabench.analysis.surface.fit import Data
+from pmabench.analysis.surface.fit import FEWEST, Choice, Data, Score, Spread, choose
 from pmabench.analysis.surface.muscle import ALWAYS, CREEP_P, CREEP_X, SLIDING, STOPS_P, STOPS_X, Frame, Muscle
 from pmabench.analysis.surface.trials import RATE, Record
 from pmabench.base.quantities import QUANTITIES, show

@@ -29,12 +29,9 @@ METHODS = {
         "A relay makes the loop swing at two sizes. A gain, a dead time, one lag or two of the regulator (which may "
         "swing) and those of the muscle are fitted to the harmonics of command, pressure and contraction of the "
         "larger one; K_u and T_u solve the phase equation of that loop. Where "
-        "period or gain change with the size, as friction makes them, neither is reported."
-    ),
-    "relay-describing-function": (
-        "K_u = 4 d / (π √(a² − h²)), T_u the period of the relay oscillation: d half the switching of the command, a "
-        "half the swing, h the hysteresis (Åström and Hägglund 1984). It leaves out harmonics and the phase of the "
-        "hysteresis."
+        "period or gain by the describing function, 4 d / (π √(a² − h²)) (Åström and Hägglund 1984: d half the "
+        "switching of the command, a half the swing, h the hysteresis), change with the size, as friction makes them, "
+        "neither is reported."
     ),
 }
 KIND = Kind(

@@ -13,14 +13,13 @@ from math import hypot, log, nan, sqrt
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pmabench.analysis.shared import student
 from pmabench.analysis.shared.samples import noise_of
 from pmabench.analysis.shared.signals import SKIPPED, Swinging, describe, mode_amplitudes
 from pmabench.base.quantities import show
 from pmabench.kinds.ultimate_gain.ways import Examined, GainCell, Pair
-from pmabench.store.analyses.results import Estimate, Finding, Parts, Trace
+from pmabench.store.analyses.results import Estimate, Parts, Trace
 from pmabench.store.records import Array, TrialData
 
 STEEPEST = 0.3
@@ -45,8 +44,6 @@ class Level:
     """K_p [Pa/m]."""
     t0: float
     t1: float
-    aim: float
-    """Set-point with kick [m]."""
     swinging: Swinging | None
     """None with fewer than four visible swings."""
     saturated: bool
@@ -67,25 +64,10 @@ class Level:
         """Period [s]; nan where unknown."""
         return self.swinging.period if self.swinging else nan
 
-    def to_dict(self) -> dict[str, Any]:
-        """Plain data."""
-        seen = self.swinging
-        return {
-            "gain": self.gain,
-            "t0": self.t0,
-            "t1": self.t1,
-            "log_ratio": None if seen is None else seen.log_ratio,
-            "period": None if seen is None else seen.period,
-            "swings": 0 if seen is None else len(seen.sizes),
-            "last_swing": None if seen is None else float(seen.sizes[-1]),
-            "third_harmonic": self.third,
-            "saturated": self.saturated,
-        }
-
 
 @dataclass(frozen=True)
 class Zero(Pair):
-    """Gain without growth; half widths from the scatter about the line."""
+    """Gain at which swings neither grow nor die out, and its period; half widths from the scatter about the line."""
 
     line: tuple[float, float] = (nan, nan)
     """Slope [m/Pa] and value at gain 0 of ln ratio, at the set-point."""
@@ -99,8 +81,6 @@ class TrialFound(Examined):
     used: tuple[Level, ...]
     nearest: Level | None
     """The level with the smallest |ln ratio|."""
-    bias: float
-    """Bias of the command [Pa]."""
     zero: Zero = Zero()
     friction: float = 0.0
     """Relative shift of K_u by growth that depends on the swing [1]."""
@@ -114,12 +94,11 @@ class TrialFound(Examined):
 def examine(trial: TrialData, search: Mapping[str, Any]) -> TrialFound:
     """K_u and T_u of one trial, or why there are none. `search` is the record of the law `gain-steps`."""
     levels = tuple(_measure(trial, level, search) for level in search["levels"])
-    bias = float(search.get("bias", 0.0))
     seen = [level for level in levels if level.swinging is not None and abs(level.log_ratio) < STEEPEST]
     nearest = min(seen, key=lambda level: abs(level.log_ratio)) if seen else None
     ended = str(search.get("ended", ""))
     if nearest is None or len(seen) < FEWEST_LEVELS:
-        return TrialFound(levels, tuple(seen), nearest, bias, refused=(_too_few(levels, seen, nearest, ended),))
+        return TrialFound(levels, tuple(seen), nearest, refused=(_too_few(levels, seen, nearest, ended),))
     used = seen[-MOST_LEVELS:]
     measured = [(level.gain, level.log_ratio, level.period, level.mean) for level in used]
     gains, ratios, periods, places = np.array(measured).T
@@ -130,9 +109,9 @@ def examine(trial: TrialData, search: Mapping[str, Any]) -> TrialFound:
     if not (zero.line[0] > 0 and 0.5 * gains.min() < zero.value[0] < 1.2 * gains.max()):
         refused.append("growth does not rise with gain, so that no gain can be named at which it is 0")
     if refused:
-        return TrialFound(levels, tuple(used), nearest, bias, zero, friction=friction, refused=tuple(refused))
+        return TrialFound(levels, tuple(used), nearest, zero, friction=friction, refused=tuple(refused))
     doubts = _doubts(nearest, ratios, friction)
-    return TrialFound(levels, tuple(used), nearest, bias, zero, abs(friction), doubts=tuple(doubts))
+    return TrialFound(levels, tuple(used), nearest, zero, abs(friction), doubts=tuple(doubts))
 
 
 def _measure(trial: TrialData, level: Mapping[str, Any], search: Mapping[str, Any]) -> Level:
@@ -155,7 +134,7 @@ def _measure(trial: TrialData, level: Mapping[str, Any], search: Mapping[str, An
         third_noise = noise * sqrt(2.0 / late.sum()) / size
         mean = float(centre)
     t0, t1 = float(level["t0"]), float(level["t1"])
-    return Level(gain, t0, t1, aim, swinging, saturated, third, third_noise, mean)
+    return Level(gain, t0, t1, swinging, saturated, third, third_noise, mean)
 
 
 def _zero(gains: Array, ratios: Array, periods: Array, off: Array) -> Zero:
@@ -275,7 +254,6 @@ def _doubts(nearest: Level, ratios: Array, friction: float) -> list[str]:
 
 
 METHOD = "gain-steps"
-ALONE = "one trial: the repeats part is the scatter about its own line, and repeated tests may scatter more"
 CURVED = (0.008, 0.0015)
 """Relative error of K_u and of T_u because growth and period over the gain are no lines: up to 0.7 and 0.1 % in 45
 loops.
@@ -286,26 +264,12 @@ loops.
 class LevelsCell(GainCell[TrialFound]):
     """All trials with a rising gain at one operating point."""
 
-    methods = (METHOD,)
+    method = METHOD
+    alone = "one trial: the repeats part is the scatter about its own line, and repeated tests may scatter more"
 
-    def _estimate(self, place: int, method: str) -> Estimate:
-        good = [one.found for one in self.good]
-        if not good:
-            return self.empty(place, method)
-        pairs = [found.pair for found in good]
-        mean = float(np.mean([pair.value[place] for pair in pairs]))
-        friction = 0.0 if place else max(found.friction for found in good)
-        parts = Parts(method=hypot(CURVED[place], friction) * mean)
-        return self.estimate(place, method, self.good, pairs, parts, (), alone=ALONE)
-
-    def findings(self) -> list[Finding]:
-        """Problems of the trials, and K_u and T_u."""
-        lines = self.said()
-        K_u, T_u = (estimate.value for estimate in self.estimates)
-        if K_u is None or T_u is None:
-            return lines
-        text = f"at {self.where} the loop oscillates at K_u = {show(K_u, 'gain', 4)}, T_u = {T_u:.4g} s"
-        return [*lines, Finding("note", text)]
+    def _estimate(self, place: int) -> Estimate:
+        friction = 0.0 if place else max(one.found.friction for one in self.good)
+        return self.estimate(place, Parts(method=hypot(CURVED[place], friction) * self.mean(place)))
 
     def traces(self) -> list[Trace]:
         """The oscillation nearest to K_u, and the growth plot."""
@@ -320,7 +284,6 @@ class LevelsCell(GainCell[TrialFound]):
         columns: dict[str, Array] = {
             "t": trial.t[mask] - trial.t[mask][0],
             "displacement": trial.channels["displacement"][mask],
-            "pressure_command": _command(trial, found, mask),
         }
         marks = {} if K_u is None else {"K_u": K_u}
         setpoint = {"setpoint": self.at.get("setpoint", 0.0)}
@@ -338,15 +301,3 @@ class LevelsCell(GainCell[TrialFound]):
             }
             traces.append(self.trace("growth", "Growth per half period", columns, marks))
         return traces
-
-
-def _command(trial: TrialData, found: TrialFound, mask: NDArray[np.bool_]) -> Array:
-    """The command [Pa], as recorded, else worked out from the law u = bias + K_p (aim - x) of each level."""
-    if "pressure_command" in trial.channels:
-        return np.asarray(trial.channels["pressure_command"][mask])
-    t, x = trial.t[mask], trial.channels["displacement"][mask]
-    command = np.full(len(t), np.nan)
-    for level in found.levels:
-        at = (t >= level.t0) & (t <= level.t1)
-        command[at] = found.bias + level.gain * (level.aim - x[at])
-    return command

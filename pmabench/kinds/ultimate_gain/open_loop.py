@@ -7,9 +7,8 @@ positions that depend on the direction of approach show friction. Uses the trial
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from math import hypot, isfinite, sqrt
-from typing import Any
 
 import numpy as np
 
@@ -93,15 +92,6 @@ class StepsFound(Examined):
     def pair(self) -> Pair:
         """K_u and T_u of its loop, with the scatter of its cycles."""
         return Pair.of(self.loop, self.cycles)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain data; unknown values are None."""
-        known = {name: value for name, value in (("regulator", self.regulator), ("muscle", self.moved)) if value}
-        fact: dict[str, Any] = {name: asdict(value) for name, value in known.items()}
-        if self.friction is not None:
-            slip = {"gap": self.friction.gap, "coulomb": self.friction.balance.coulomb}
-            fact["friction"] = {name: value if isfinite(value) else None for name, value in slip.items()}
-        return {**fact, "cycles": [asdict(cycle) for cycle in self.cycles], "amplitude": self.amplitude}
 
     @property
     def sided(self) -> Departure:
@@ -362,7 +352,6 @@ def _loop(regulator: Regulator, moved: Moved, period: float, off: float) -> Loop
 METHOD = "open-loop"
 DAMPING = 0.25
 """Error of the mean as a share of the difference between the two directions' K_u and T_u."""
-ALONE = "one trial: the repeats part is the scatter between its cycles"
 
 
 @dataclass(frozen=True)
@@ -370,7 +359,9 @@ class StepsCell(GainCell[StepsFound]):
     """All open-loop trials at one operating point."""
 
     called = "trials of steps"
-    methods = (METHOD,)
+    method = METHOD
+    alone = "one trial: the repeats part is the scatter between its cycles"
+    note = "the method part is what unlike lags in the two directions and the bend of the steps are worth"
 
     @property
     def apart(self) -> float:
@@ -379,7 +370,7 @@ class StepsCell(GainCell[StepsFound]):
 
     def findings(self) -> list[Finding]:
         """Problems of the trials, the fitted loop, and effects of friction."""
-        lines = self.said()
+        lines = super().findings()
         known = next((one.found for one in self.good), None)
         if known is not None and known.loop is not None and known.moved is not None:
             up, down = known.moved.tau
@@ -403,17 +394,11 @@ class StepsCell(GainCell[StepsFound]):
         columns["pressure"] = P[mask] + steps[3].value
         return [self.trace("open-loop", "Open-loop steps", columns, {"setpoint": self.at.get("setpoint", 0.0)})]
 
-    def _estimate(self, place: int, method: str) -> Estimate:
-        good = [one.found for one in self.good]
-        if not good:
-            return self.empty(place, method)
-        pairs = [found.pair for found in good]
-        value = float(np.mean([pair.value[place] for pair in pairs]))
+    def _estimate(self, place: int) -> Estimate:
+        good, value = [one.found for one in self.good], self.mean(place)
         damping = DAMPING * max(found.spans[place] for found in good)
         bent = 0.0 if place else max(found.bent for found in good) ** 2 / 2
-        parts = Parts(method=value * hypot(damping, bent), skew=self.by_clocks(place))
-        said = "the method part is what unlike lags in the two directions and the bend of the steps are worth"
-        estimate = self.estimate(place, method, self.good, pairs, parts, (said,), alone=ALONE)
+        estimate = self.estimate(place, Parts(method=value * hypot(damping, bent), skew=self.by_clocks(place)))
         every = [one for found in good for one in (found.sided, *found.departures)]
         doubts = [replace(doubt, half=value * float(shares[place])) for doubt, shares in every]
         worst = {one.name: one for one in sorted(doubts, key=lambda one: one.half)}

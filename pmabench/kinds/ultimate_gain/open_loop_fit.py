@@ -533,8 +533,8 @@ def _curves(t: Array, P: Array, steps: Sequence[Step]) -> tuple[Array, list[Arra
 
 
 def read_in_steps(readings: Sequence[Array], sizes: Sequence[float]) -> tuple[float, float]:
-    """Relative errors of K_u and T_u because displacement [m] and pressure [Pa] are read in steps of `sizes` that noise
-    does not average out.
+    """Relative errors of K_u and T_u by quantisation of displacement [m] and pressure [Pa] in steps of `sizes`, where
+    noise does not average it out.
     """
     errors = [0.0]
     for y, size, of in zip(readings, sizes, OF_STEPS, strict=True):

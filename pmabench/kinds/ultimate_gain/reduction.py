@@ -54,8 +54,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             loops.append({"at": dict(K_u.at), **fact})
         settings.extend(tuning.facts(tuning.tune(K_u, T_u, loop=loop), K_u.at))
 
-    every = [cell for mine in cells.values() for cell in mine]
-    for cell in every:
+    for cell in cells:
         estimates += cell.estimates
         findings += cell.findings()
         traces += cell.traces()
@@ -71,13 +70,10 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         findings=findings,
         traces=traces,
         facts={
-            "trials": sum(len(cell.good) for cell in every),
-            "cells": len(every),
+            "trials": sum(len(cell.good) for cell in cells),
+            "cells": len(cells),
             "loops": loops,
             "tuning": settings,
-            "levels": [level for cell in cells["levels"] for level in cell.facts(lambda found: found.levels)],
-            "relay": [level for cell in cells["relay"] for level in cell.facts(lambda found: found.levels)],
-            "open_loop": [trial for cell in cells["open_loop"] for trial in cell.facts(lambda found: [found])],
         },
     )
 
@@ -95,12 +91,12 @@ def _way_of(trial: TrialData) -> tuple[str, str]:
     way = "open_loop" if steps_of(trial) else "levels" if search_of(trial) is None else "relay"
     if way == "levels" and _search(trial) is None:
         return way, NO_LEVELS
-    needed = ("displacement", "pressure") if way == "open_loop" else ("displacement",)
+    needed = ("displacement",) if way == "levels" else ("displacement", "pressure")
     return way, next((f"the {name} is not recorded" for name in needed if name not in trial.channels), "")
 
 
-def _cells(runs: Sequence[RunData]) -> tuple[dict[str, list[GainCell[Any]]], list[Dropped]]:
-    """The cells of each method, and the trials that are not evaluated."""
+def _cells(runs: Sequence[RunData]) -> tuple[list[GainCell[Any]], list[Dropped]]:
+    """The cells of all methods, and the trials that are not evaluated."""
     dropped: list[Dropped] = []
     ways: dict[str, list[tuple[RunData, TrialData]]] = {way: [] for way in WAYS}
     for run, trial in [(one, trial) for one in runs for trial in one.trials]:
@@ -111,7 +107,7 @@ def _cells(runs: Sequence[RunData]) -> tuple[dict[str, list[GainCell[Any]]], lis
             dropped.append(Dropped(trial.name, trial.point, why))
         else:
             ways[way].append((run, trial))
-    return {way: cell.all_of(ways[way], look) for way, (cell, look) in WAYS.items()}, dropped
+    return [one for way, (cell, look) in WAYS.items() for one in cell.all_of(ways[way], look)], dropped
 
 
 def _search(trial: TrialData) -> Mapping[str, Any] | None:

@@ -1,10 +1,10 @@
-"""K_u and T_u of relay tests, by set-point: by a fitted loop, and by the describing function.
+"""K_u and T_u of relay tests, by set-point, by a fitted loop.
 
-In one trial each size of oscillation is evaluated by the relay's describing function, and by a loop of dead time, lags
-and gain fitted to the harmonics of command, pressure and displacement. If period and gain change with the size, the
-loop is not linear; dry friction in the pressure balance, and a shape that the fitted loop does not have, distinguish
-stiction from a curved characteristic. Neither method gives a value where friction shows. Uses the trials' samples and
-the relay's record.
+In one trial a loop of dead time, lags and gain is fitted to the harmonics of command, pressure and displacement for
+each size of oscillation. If the period, or the gain by the relay's describing function, changes with the size, the loop
+is not linear; dry friction in the pressure balance, and a shape that the fitted loop does not have, distinguish
+stiction from a curved characteristic. There is no value where friction shows. Uses the trials' samples and the relay's
+record.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
-from pmabench.analysis.shared import student
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.samples import noise_of
 from pmabench.analysis.shared.signals import HARMONICS, SEEN, extremes, mode_amplitudes
@@ -26,12 +25,10 @@ from pmabench.base.quantities import show
 from pmabench.kinds.ultimate_gain import ways
 from pmabench.kinds.ultimate_gain.open_loop_fit import balance
 from pmabench.kinds.ultimate_gain.ways import (
-    DESCRIBED,
     NOTHING,
     SYMBOLS,
     Examined,
     GainCell,
-    Member,
     Pair,
     lags_of,
     oscillating,
@@ -78,10 +75,8 @@ class RelayLevel:
     """[s]."""
     variation: float
     """Standard deviation of single periods over their mean [1]."""
-    swing: float
-    """Half of the peak-to-peak displacement, a [m]."""
-    described: Pair
-    """4 d / (pi sqrt(a^2 - h^2)) and the period; nan where the swing is not above the hysteresis."""
+    described: float
+    """4 d / (pi sqrt(a^2 - h^2)) with half the swing a [Pa/m]; nan where that is not above the hysteresis."""
     loop: Loop | None = None
     fitted: Pair = NOTHING
     """K_u and T_u of the fitted loop."""
@@ -93,19 +88,6 @@ class RelayLevel:
     """Third harmonic of the displacement over the first, its distance from the fitted loop's [1]."""
     left: float = nan
     """Distance of the pressure's harmonics from those of the fitted regulator, relative to the first [1]."""
-
-    def by(self, method: str) -> Pair:
-        """K_u and T_u by the fit, or by the describing function."""
-        return self.fitted if method == FITTED else self.described
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain data; unknown values are None."""
-        names = ("amplitude", "hysteresis", "t0", "t1", "period", "variation", "swing", "coulomb", "unlike", "shape",
-                 "left")  # fmt: skip
-        K_u, T_u = self.fitted.value
-        values = {name: float(getattr(self, name)) for name in names}
-        values |= {"K_df": self.described.value[0], "K_u": K_u, "T_u": T_u}
-        return {name: value if isfinite(value) else None for name, value in values.items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +113,7 @@ def search_of(trial: TrialData) -> Mapping[str, Any] | None:
 
 
 def examine(run: RunData, trial: TrialData, search: Mapping[str, Any]) -> RelayFound:
-    """K_u and T_u by both methods for each amplitude of a trial, or why there are none.
+    """K_u and T_u for each amplitude of a trial, or why there are none.
 
     `search` is the record of the law `relay`.
     """
@@ -147,10 +129,10 @@ def examine(run: RunData, trial: TrialData, search: Mapping[str, Any]) -> RelayF
     best = max(known, key=lambda level: level.amplitude)
     if best.variation > PERIOD_VARIATION:
         refused.append(f"the periods vary by {best.variation:.0%}, at most {PERIOD_VARIATION:.0%} are allowed")
-    if not isfinite(best.described.value[0]):
+    if not isfinite(best.described):
         refused.append("the swing is not above the hysteresis: the relay did not switch by it")
     if best.loop is None:
-        doubts.append("no loop of dead time, lags and gain fits: there is the value of the describing function only")
+        refused.append("no loop of dead time, lags and gain fits")
     noise = noise_of(trial.channels["displacement"][trial.usable])
     if min(level.hysteresis for level in known) < 3 * noise:
         doubts.append("the hysteresis is below three times the noise: noise may have switched the relay")
@@ -167,8 +149,7 @@ def _friction(levels: tuple[RelayLevel, ...], sample: float) -> tuple[list[str],
     if len(levels) < 2 or max(ratio) > (1 + ALIKE) * min(ratio):
         return [], ["one ratio of hysteresis to amplitude at two amplitudes is needed to see friction"]
     small, large = min(levels, key=lambda v: v.amplitude), max(levels, key=lambda v: v.amplitude)
-    K, T = (a / b - 1 for a, b in zip(small.described.value, large.described.value, strict=True))
-    change = {"period": T, "gain": K}
+    change = {"period": small.period / large.period - 1, "gain": small.described / large.described - 1}
     reason = (
         f"from {show(large.amplitude, 'pressure')} to {show(small.amplitude, 'pressure')} the period changes by "
         f"{change['period']:+.1%} and the gain by {change['gain']:+.1%}, a linear loop keeps both"
@@ -207,31 +188,21 @@ def _measure(
     t, x = trial.t[mask], trial.channels["displacement"][mask]
     if len(t) < FEWEST_SAMPLES * len(ups):
         return None
-    P = trial.channels["pressure"][mask] if "pressure" in trial.channels else None
+    P = trial.channels["pressure"][mask]
     _, values = extremes(t, x, SEEN * noise_of(x))
     swings = np.abs(np.diff(values)) / 2
     periods = np.diff(ups)
     count = len(periods)
     period = float(periods.mean())
     swing = float(swings.mean()) if len(swings) else 0.0
-    quantile = float(student.ppf(0.975, count - 1)) / sqrt(count)
-    K_df = half_df = nan
-    if swing > h:
-        K_df = 4 * d / (pi * sqrt(swing**2 - h**2))
-        half_df = K_df * quantile * float(np.std(swings, ddof=1)) * swing / (swing**2 - h**2) if len(swings) > 1 else 0
-    found = RelayLevel(
-        d, h, float(ups[0]), float(ups[-1]), period, float(np.std(periods, ddof=1)) / period, swing,
-        Pair((K_df, period), (half_df, quantile * float(np.std(periods, ddof=1)))),
-    )  # fmt: skip
-    if P is None:
-        return found
+    K_df = 4 * d / (pi * sqrt(swing**2 - h**2)) if swing > h else nan
     driving = P + lag.get("pressure", 0.0) * np.gradient(P, t)
     up, down = balance(t, x, driving, friction=False).tau
-    found = replace(
-        found,
+    found = RelayLevel(
+        d, h, float(ups[0]), float(ups[-1]), period, float(np.std(periods, ddof=1)) / period, K_df,
         coulomb=balance(t, x, driving, friction=True).coulomb,
         unlike=abs(up - down) / (up + down) if min(up, down) > 0 else 1.0,
-    )
+    )  # fmt: skip
     whole = _fit(t, x, P, switches, ups, lag, hold)
     if whole is None:
         return found
@@ -359,13 +330,6 @@ def _muscle(s: ComplexArray, X: ComplexArray, Q: ComplexArray) -> tuple[float, t
     return None
 
 
-FITTED = "relay-fit"
-ALONE = "one trial: the repeats part is the scatter between its periods"
-SAYS = {
-    FITTED: "the method part is the difference between the amplitudes, and what the loop's form is worth",
-    DESCRIBED: "the relay's harmonics and its hysteresis are left out; the method part is the distance to the fit",
-}
-"""Method -> note on its values."""
 OF_FRICTION, OF_SHAPE, OF_SIZES = 2.0, 0.5, 1.3
 """Errors of K_u and T_u per friction as a share of the amplitude, per distance of the third harmonic, and per change
 between the amplitudes: upper bounds found with play, a second lag and a rate limit in known loops.
@@ -392,22 +356,18 @@ class RelayCell(GainCell[RelayFound]):
     """All relay trials at one operating point."""
 
     called = "relay trials"
-    methods = (FITTED, DESCRIBED)
+    method = "relay-fit"
+    alone = "one trial: the repeats part is the scatter between its periods"
+    note = "the method part is the difference between the amplitudes, and what the loop's form is worth"
+    by_command = False
 
-    def _estimate(self, place: int, method: str) -> Estimate:
-        best = [(one, level) for one in self.good if (level := one.found.best) is not None]
-        best = [(one, level) for one, level in best if isfinite(level.by(method).value[place])]
-        if not best:
-            reasons = dict.fromkeys(why for one in self.members for why in (*one.found.refused, *one.found.doubts))
-            return replace(self.empty(place, method), note="; ".join(reasons))
-        trials, pairs = [one for one, _ in best], [level.by(method) for _, level in best]
-        parts, described = Parts(method=_method_part(self, best, place, method)), method == DESCRIBED
-        e = self.estimate(place, method, trials, pairs, parts, (SAYS[method],), alone=ALONE, by_command=described)
-        return e if described else weighed(e, _doubts([one.found for one in trials], e.symbol, e.value or 0.0))
+    def _estimate(self, place: int) -> Estimate:
+        e = self.estimate(place, Parts(method=_method_part(self, place)))
+        return weighed(e, _doubts([one.found for one in self.good], e.symbol, e.value or 0.0))
 
     def findings(self) -> list[Finding]:
         """Problems of the trials, and the fitted loop."""
-        lines, loop = self.said(), self.loop
+        lines, loop = super().findings(), self.loop
         if loop is None:
             return lines
         text = f"at {self.where} the loop fitted to the relay oscillation has {ways.described(loop)}"
@@ -454,21 +414,15 @@ def _doubts(trials: Sequence[RelayFound], symbol: str, value: float) -> list[Dou
     ]
 
 
-def _method_part(
-    cell: RelayCell, best: Sequence[tuple[Member[RelayFound], RelayLevel]], place: int, method: str
-) -> float | None:
-    """Half width by the method: the other amplitudes for the fit, the fit for the describing function; clocks added."""
-    apart = []
-    for one, level in best:
-        fits = [level] if method == DESCRIBED else [other for other in one.found.levels if other is not level]
-        others = [other.fitted.value[place] for other in fits]
-        apart += [abs(level.by(method).value[place] - other) for other in others if isfinite(other)]
-    if not apart:
-        return None
-    symbol = SYMBOLS[place][0]
-    unlike = [min(1.0, level.unlike if isfinite(level.unlike) else 0.0) for _, level in best]
-    form = max(
-        hypot(FORM[symbol], UNLIKE[symbol] * (one + 3 * max(0.0, one - BEYOND))) * level.by(method).value[place]
-        for one, (_, level) in zip(unlike, best, strict=True)
-    )
-    return hypot(OF_SIZES * max(apart), cell.by_clocks(place), form)
+def _method_part(cell: RelayCell, place: int) -> float | None:
+    """Half width by the method: the fits to the other amplitudes, the form of the loop, and clocks."""
+    symbol, apart, form = SYMBOLS[place][0], list[float](), 0.0
+    for one in cell.good:
+        for level in one.found.levels:
+            off = abs(level.fitted.value[place] - one.found.pair.value[place])
+            apart += [off] if level is not one.found.best and isfinite(off) else []
+        best = one.found.best
+        unlike = min(1.0, best.unlike) if best is not None and isfinite(best.unlike) else 0.0
+        sided = UNLIKE[symbol] * (unlike + 3 * max(0.0, unlike - BEYOND))
+        form = max(form, hypot(FORM[symbol], sided) * one.found.pair.value[place])
+    return hypot(OF_SIZES * max(apart), cell.by_clocks(place), form) if apart else None

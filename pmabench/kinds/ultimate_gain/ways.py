@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import nan
@@ -23,7 +23,6 @@ from pmabench.store.records import Array, RunData, TrialData
 
 SYMBOLS = (("K_u", "Pa/m", "gain"), ("T_u", "s", "time"))
 """Symbol, unit and quantity that every method gives."""
-DESCRIBED = "relay-describing-function"
 LEAST_DEAD = 0.1
 """Smallest remaining share of a dead time after correction for the time between clocks."""
 COLUMNS = {"t": "time", "displacement": "length", "model": "length", "pressure": "pressure",
@@ -88,8 +87,13 @@ class GainCell(ABC, Generic[Found]):
 
     called: ClassVar[str] = "trials"
     """Name of its trials in findings."""
-    methods: ClassVar[tuple[str, ...]]
-    """Methods; the first one is used first."""
+    method: ClassVar[str]
+    alone: ClassVar[str]
+    """Note on a value of a single trial."""
+    note: ClassVar[str] = ""
+    """Note on every value."""
+    by_command: ClassVar[bool] = True
+    """Whether the calibration is that of the commanded pressure, if it has one; else that of the measured pressure."""
     at: Mapping[str, float]
     members: tuple[Member[Found], ...]
 
@@ -100,16 +104,12 @@ class GainCell(ABC, Generic[Found]):
 
     @cached_property
     def estimates(self) -> list[Estimate]:
-        """K_u and T_u by each method."""
-        return [self._estimate(place, method) for method in self.methods for place in range(len(SYMBOLS))]
+        """K_u and T_u, with the reasons where there is no value."""
+        return [self._estimate(place) if self.good else self._empty(place) for place in range(len(SYMBOLS))]
 
     @abstractmethod
-    def _estimate(self, place: int, method: str) -> Estimate:
-        """K_u (`place` 0) or T_u (1) by a method: mean of the trials, with its interval in parts."""
-
-    @abstractmethod
-    def findings(self) -> list[Finding]:
-        """Problems of the trials, and the loop."""
+    def _estimate(self, place: int) -> Estimate:
+        """K_u (`place` 0) or T_u (1): mean of the trials, with its interval in parts; there is a trial with a value."""
 
     @abstractmethod
     def traces(self) -> list[Trace]:
@@ -151,44 +151,42 @@ class GainCell(ABC, Generic[Found]):
             for point, group in by_point(members)
         ]
 
-    def empty(self, place: int, method: str) -> Estimate:
+    def _empty(self, place: int) -> Estimate:
         """K_u (`place` 0) or T_u (1) without value, with the reasons for which all trials were refused."""
         symbol, unit, quantity = SYMBOLS[place]
         note = "; ".join(dict.fromkeys(reason for one in self.members for reason in one.found.refused))
         parents = tuple(one.trial.name for one in self.members)
-        return Estimate(symbol, None, unit, quantity, method, self.at, note=note, trials=parents)
+        return Estimate(symbol, None, unit, quantity, self.method, self.at, note=note, trials=parents)
 
-    def estimate(
-        self, place: int, method: str, of: Sequence[Member[Found]], pairs: Sequence[Pair], parts: Parts,
-        notes: Sequence[str], *, alone: str, by_command: bool = True,
-    ) -> Estimate:  # fmt: skip
-        """The mean of K_u (`place` 0) or T_u (1) over the `pairs` of the trials `of`.
+    def mean(self, place: int) -> float:
+        """The mean of K_u (`place` 0) or T_u (1) over the trials."""
+        return float(np.mean([one.found.pair.value[place] for one in self.good]))
 
-        `parts` has those by method and clocks; `alone` is the note for a single trial. `by_command`: the calibration is
-        that of the commanded pressure if it has one, else that of the measured pressure.
-        """
-        scales = Scales.of(one.run for one in self.members)
+    def estimate(self, place: int, parts: Parts) -> Estimate:
+        """K_u (`place` 0) or T_u (1) with those of its parts that are by method and clocks."""
+        scales, good = Scales.of(one.run for one in self.members), self.good
+        pairs = [one.found.pair for one in good]
         numbers, halves = [pair.value[place] for pair in pairs], [pair.half[place] for pair in pairs]
-        value = float(np.mean(numbers))
-        pressure = "pressure_command" if by_command and "pressure_command" in scales.gains else "pressure"
+        value = self.mean(place)
+        pressure = "pressure_command" if self.by_command and "pressure_command" in scales.gains else "pressure"
         used = () if place else (pressure, "displacement")
         return replace(
-            self.empty(place, method),
+            self._empty(place),
             value=value,
             parts=replace(
                 parts, repeats=half_of_trials(numbers, halves), calibration=scales.part(dict.fromkeys(used, value))
             ),
-            n=len(of),
+            n=len(good),
             note=sentences(
-                *(doubt for one in of for doubt in one.found.doubts),
-                alone if len(of) == 1 else "",
-                *notes,
+                *(doubt for one in good for doubt in one.found.doubts),
+                self.alone if len(good) == 1 else "",
+                self.note,
                 scales.lack(used),
             ),
-            trials=tuple(one.trial.name for one in of),
+            trials=tuple(one.trial.name for one in good),
         )
 
-    def said(self) -> list[Finding]:
+    def findings(self) -> list[Finding]:
         """Each reason and doubt with the number of trials concerned."""
         said = [("fault", reason) for one in self.members for reason in one.found.refused]
         said += [("doubt", doubt) for one in self.members for doubt in one.found.doubts]
@@ -208,10 +206,6 @@ class GainCell(ABC, Generic[Found]):
             {name: COLUMNS[name] for name in columns},
             marks,
         )
-
-    def facts(self, levels: Callable[[Found], Iterable[Any]]) -> list[dict[str, Any]]:
-        """Facts of every trial as plain data."""
-        return [{"trial": one.trial.name, **level.to_dict()} for one in self.members for level in levels(one.found)]
 
     def by_clocks(self, place: int) -> float:
         """Change of K_u (`place` 0) or T_u (1) by clock errors: the time between pressure and displacement, either
@@ -267,10 +261,7 @@ APART = {"K_u": 0.25, "T_u": 0.1}
 
 
 def findings(estimates: Sequence[Estimate]) -> list[Finding]:
-    """Differences of the methods for K_u and T_u at one operating point.
-
-    The describing function is reported but not counted: even without friction its K_u is too low by a fifth or more.
-    """
+    """Differences of the methods for K_u and T_u at one operating point."""
     lines = []
     for symbol in ("K_u", "T_u"):
         known = [e for e in estimates if e.symbol == symbol and e.value]
@@ -279,13 +270,9 @@ def findings(estimates: Sequence[Estimate]) -> list[Finding]:
                 continue
             where = show(found[0].at["setpoint"], "length") if "setpoint" in found[0].at else "one operating point"
             values = ", ".join(f"{show(e.value or 0.0, e.quantity, 4)} ({e.method})" for e in found)
-            exact = [e.value for e in found if e.value and e.method != DESCRIBED]
-            text = f"{symbol} at {where}: {values}"
-            if len(exact) < 2:
-                lines.append(Finding("note", text))
-                continue
+            exact = [e.value for e in found if e.value]
             apart = max(exact) / min(exact) - 1
-            text += f"; the ways {'but the describing function ' * (len(exact) < len(found))}are {apart:.1%} apart"
+            text = f"{symbol} at {where}: {values}; the ways are {apart:.1%} apart"
             if apart > APART[symbol]:
                 text += ", more than without friction: stiction, or a muscle that bends within the swings"
             lines.append(Finding("doubt" if apart > APART[symbol] else "note", text))

@@ -9,8 +9,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from pmabench.analysis.surface.choice import choose
-from pmabench.analysis.surface.fit import Data
+from pmabench.analysis.surface.fit import Data, choose
 from pmabench.analysis.surface.muscle import CREEP_X, STOPS_P, STOPS_X
 from tests.analysis.surface.braided import FULL, Braided, stiffness, surface
 from tests.analysis.surface.campaign import record_of, wandering

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from pmabench.analysis.surface.choice import choose
-from pmabench.analysis.surface.fit import Data, bounded
+from pmabench.analysis.surface.fit import Data, bounded, choose
 from pmabench.analysis.surface.muscle import ALWAYS
 from tests.analysis.surface.campaign import campaign, record_of
 

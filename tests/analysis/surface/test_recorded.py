@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pmabench.analysis.surface.choice import choose
-from pmabench.analysis.surface.fit import Data
+from pmabench.analysis.surface.fit import Data, choose
 from pmabench.analysis.surface.trials import by_hand
 from pmabench.kinds.reduce import reduce_together
 from pmabench.kinds.surface.reduction import records_of

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from pmabench.analysis.shared.calibration import Scales
-from pmabench.analysis.surface.choice import choose
-from pmabench.analysis.surface.fit import Data
+from pmabench.analysis.surface.fit import Data, choose
 from pmabench.analysis.surface.trials import Record, rows_of
 from pmabench.kinds.surface.reduction import estimates
 from tests.analysis.surface.straight import straight_form

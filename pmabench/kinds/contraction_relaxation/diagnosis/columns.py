@@ -39,8 +39,8 @@ LOADED = 250.0
 """Reference force [N] of departures that grow in proportion to the load."""
 BY_LOAD, BY_WAY = "by time and load", "by way"
 FINER: Mapping[str, str] = {"creep": BY_LOAD, "hysteresis": BY_WAY}
-"""Finest variant of a cause, tried only where the cause is found and its variants that are the same at all loads or in
-both directions are not enough: hysteresis loops of braids are not symmetric (Liu et al. 2017, Strojniski vestnik
+"""Finest variant of a cause. Tried only where the cause was found, and a form that is the same at all loads, or in
+both directions, is not enough: hysteresis loops of braids are not symmetric (Liu et al. 2017, Strojniski vestnik
 63(1)).
 """
 STEEP = 0.15
