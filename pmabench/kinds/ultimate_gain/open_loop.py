@@ -31,6 +31,7 @@ from pmabench.kinds.ultimate_gain.open_loop_fit import (
     hunting,
     read_in_steps,
 )
+from pmabench.kinds.ultimate_gain.open_loop_response import without_model
 from pmabench.kinds.ultimate_gain.ways import Examined, GainCell, Pair
 from pmabench.model.loop import Loop, Ultimate, ultimate
 from pmabench.store.analyses.results import Estimate, Finding, Parts, Trace
@@ -242,6 +243,8 @@ def _with_spread(
     if other := ends([found.other] if found.other is not None else []):
         doubts.append((Doubt("delay or filter of the gauge", "method", 0.0, False), _apart(other[0], truth)))
     doubts.append((Doubt(STEPS, "method", 0.0, False), read_in_steps(samples[1:], sizes)))
+    if (at_bias := _loop(regulator, moved, period, 0.0)) is not None:
+        doubts.append(without_model(t, samples[1], cycles, at_bias))
     spans = np.max([_apart(end, truth) for end in sides] or [(0.0, 0.0)], axis=0).tolist()
     return replace(known, loop=loop, cycles=tuple(single), spans=(spans[0], spans[1]), departures=tuple(doubts))
 

@@ -8,49 +8,55 @@ response at any frequency. Uses commands and displacement alone.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import pi
+from math import exp, pi
 
 import numpy as np
 
+from pmabench.analysis.shared.form import Doubt
 from pmabench.analysis.shared.isometric_lines import spread
 from pmabench.kinds.ultimate_gain.open_loop_fit import Step
-from pmabench.model.loop import Loop, ultimate
-from pmabench.store.records import Array, ComplexArray
+from pmabench.model.loop import ComplexArray, Loop, ultimate
+from pmabench.store.records import Array
 
 AROUND = np.linspace(0.75, 1.3, 23)
 """Frequencies at which the response is compared, over that of the ultimate gain [1]."""
-SURE = 0.003
-"""Difference of K_u or T_u, as a share, that comes from the fit of single cycles by itself [1]."""
+CHANCE = 0.003
+"""Difference of K_u or T_u beyond the scatter of the cycles that has no meaning, as a share [1]."""
+MOST = 0.1
+"""Difference from which on the fitted loop is wrong, as a share [1]."""
+REASON = (
+    "the displacement alone, without a model, gives K_u {:+.0%} and T_u {:+.0%} off the fitted loop: the muscle "
+    "creeps, or has parts that the loop has not. Find K_u in a closed loop"
+)
 
 
-def contradicted(
-    t: Array, x: Array, cycles: Sequence[Sequence[Step]], loop: Loop, hold: float
-) -> tuple[tuple[float, float], tuple[float, float]]:
-    """K_u and T_u over those of `loop` - 1, by the response of the displacement `x` [m] at even times `t` [s], beyond
-    the scatter of the cycles (0 within it); and that scatter as half widths.
+def without_model(
+    t: Array, x: Array, cycles: Sequence[Sequence[Step]], loop: Loop
+) -> tuple[Doubt, tuple[float, float]]:
+    """Doubt about K_u and T_u of `loop`, and their difference from those of the displacement `x` [m] at even times [s].
 
-    `loop` has no sample hold; `hold` is that of the controller [s], by which T_u is later.
+    The dead time of `loop` has half a sample for the hold, which open-loop steps have not.
     """
-    held = Loop(loop.gain, loop.dead_time + hold, loop.lags)
-    truth = ultimate(held)
+    truth, hold = ultimate(loop), 0.5 * float(t[1] - t[0])
     omega = 2 * pi / truth.period
     w = AROUND * omega
-    made = held.response(1j * w)
-    phase = np.array([held.phase_lag(one) for one in w])
+    made = loop.response(1j * w)
+    lag = np.array([loop.phase_lag(one) for one in w])
     found = []
     for cycle in cycles:
         lasts = cycle[-1].t - cycle[-2].t
         rows = (t >= cycle[0].t - 0.1 * lasts) & (t < cycle[-1].t + lasts)
-        ratio, power = _response(t[rows], x[rows], cycle, w)
-        off = np.log(ratio * np.exp(-1j * w * hold) / made)
+        response, power = _response(t[rows], x[rows], cycle, w)
+        off = np.log(response * np.exp(-1j * w * hold) / made)
         size, turn = (np.polyfit(w - omega, part, 1, w=power) for part in (off.real, off.imag))
-        later = phase - np.polyval(turn, w - omega)  # phase lag of the displacement itself
-        crossing = float(np.interp(pi, later, w))
+        crossing = float(np.interp(pi, lag - np.polyval(turn, w - omega), w))
         gain = float(np.interp(crossing, w, np.log(np.abs(made)))) + float(np.polyval(size, crossing - omega))
-        found.append((np.exp(-gain) / truth.gain - 1, omega / crossing - 1))
-    shares, halves = np.mean(found, axis=0), [spread([one[i] for one in found]) or 0.0 for i in (0, 1)]
-    beyond = [float(share) if abs(share) > half + SURE else 0.0 for share, half in zip(shares, halves, strict=True)]
-    return (beyond[0], beyond[1]), (halves[0], halves[1])
+        found.append((exp(-gain) / truth.gain - 1, omega / crossing - 1))
+    K, T = np.mean(found, axis=0).tolist()
+    by_K, by_T = (spread([one[i] for one in found]) or 0.0 for i in (0, 1))
+    seen = abs(K) > by_K + CHANCE or abs(T) > by_T + CHANCE
+    doubt = Doubt("response without a model", "method", 0.0, seen, REASON.format(K, T), MOST)
+    return doubt, (abs(K) + by_K, abs(T) + by_T)
 
 
 def _response(t: Array, x: Array, steps: Sequence[Step], w: Array) -> tuple[ComplexArray, Array]:
