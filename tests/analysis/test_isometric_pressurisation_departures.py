@@ -44,11 +44,22 @@ def after_lag(y, steps):
 
 
 def found(
-    seed, ramp=20e3, rate=50.0, lags=None, declared=0.0, known=None, zeros=None, places=PLACES, coarse=0.0, gauge=0.0
+    seed,
+    ramp=20e3,
+    rate=50.0,
+    lags=None,
+    declared=0.0,
+    known=None,
+    zeros=None,
+    places=PLACES,
+    coarse=0.0,
+    gauge=0.0,
+    scale=1.0,
 ):
     """The analysis of two tests at each length. `lags` and `zeros`: channel -> lag of its sensor [s], its zero [SI].
 
-    `coarse`: the step in which the regulator goes [Pa]; `gauge`: what it reads of the commanded pressure, on record.
+    `coarse`: the step in which the regulator goes [Pa]; `gauge`: what it reads of the commanded pressure, on record;
+    `scale`: what the cell reads of the force.
     """
     rng, trials, way = np.random.default_rng(seed), [], TOP / ramp
     corners = np.cumsum([0.0, REST, way, REST, way, REST])
@@ -62,6 +73,7 @@ def found(
         read = {name: y + (zeros or {}).get(name, 0.0) for name, y in read.items()}
         noise = {"pressure": 400.0, "force": 0.3}
         read = {name: y + rng.normal(0, noise[name], len(t)) for name, y in read.items()}
+        read["force"] = scale * read["force"]
         if gauge:
             read |= {"pressure": gauge * read["pressure"], "pressure_command": P}
         read["displacement"] = x + rng.normal(0, 2e-6, len(t))
@@ -200,3 +212,10 @@ def test_a_regulator_as_good_as_usual_widens_nothing(gauge):
     analysis = found(0, known=CALIBRATED, gauge=gauge)
     assert not any("off its command" in f.text for f in analysis.findings)
     assert not any(line.name == "gauge against command" for e in above(analysis) for line in e.budget)
+
+
+def test_a_force_in_kg_that_is_called_n_does_not_suit_the_bore():
+    """F_b was 335 half widths off, and nothing was said; the muscle has 2.07 times its bore's area."""
+    (said,) = (f.text for f in found(0, scale=1 / 9.80665).findings if f.level == "doubt" and "bore" in f.text)
+    assert "by 0.21 times the area of a bore of 20 mm" in said
+    assert not any("bore" in f.text for f in found(0).findings)

@@ -76,6 +76,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         *of_sections(found.through, given),
         *sections.of_across(found.across),
         *curve.of_cells(cells),
+        *sections.size_findings(cells, given),
         *skew.findings(runs, CHANNELS, skew.apart(runs, CHANNELS), estimates),
         *zeros,
         *words,

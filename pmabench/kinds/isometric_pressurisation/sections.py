@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from math import hypot, sqrt
+from math import hypot, pi, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -162,6 +162,30 @@ def given_of(specimen: object) -> Mapping[str, float]:
     if "inner_diameter" in given:
         given["inner_diameter"] *= sqrt(side_by_side(specimen))
     return given
+
+
+FLATTEST, STEEPEST = 1.4, 20.5
+"""Force per pressure over the bore's area of long muscles of 43 and 17 deg at no contraction (`size_findings`) [1]."""
+LONG, SHORTENED = 5.0, 0.05
+"""Length over diameter, and relative contraction, for which that holds."""
+
+
+def size_findings(cells: Sequence[Cell], given: Mapping[str, float]) -> list[Finding]:
+    """A doubt where m does not suit the bore: it is (3 cos^2 a - 1) / sin^2 a of its area (Chou and Hannaford 1996)."""
+    length, bore = (given.get(name, 0.0) for name in ("nominal_length", "inner_diameter"))
+    near = [cell for cell in cells if cell.pooled is not None and abs(cell.contraction) <= SHORTENED * length]
+    if not near or not bore or length < LONG * bore:
+        return []
+    cell = min(near, key=lambda one: abs(one.contraction))
+    times = cell.pooled.line.m / (pi * bore**2 / 4) if cell.pooled else 0.0
+    if FLATTEST <= times <= STEEPEST:
+        return []
+    text = (
+        f"at contraction {show(cell.contraction, 'length', 2)} the force rises by {times:.2g} times the area of a bore "
+        f"of {show(bore, 'length', 3)}; braided muscles give {FLATTEST:g} to {STEEPEST:g} times: the unit or the scale of "
+        "force or pressure is wrong (is the force in kg?), or the inner diameter"
+    )
+    return [Finding("doubt", text)]
 
 
 BLOCKED = "blocked"
