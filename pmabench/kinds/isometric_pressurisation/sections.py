@@ -182,8 +182,8 @@ def size_findings(cells: Sequence[Cell], given: Mapping[str, float]) -> list[Fin
         return []
     text = (
         f"at contraction {show(cell.contraction, 'length', 2)} the force rises by {times:.2g} times the area of a bore "
-        f"of {show(bore, 'length', 3)}; braided muscles give {FLATTEST:g} to {STEEPEST:g} times: the unit or the scale of "
-        "force or pressure is wrong (is the force in kg?), or the inner diameter"
+        f"of {show(bore, 'length', 3)}; braided muscles give {FLATTEST:g} to {STEEPEST:g} times: the unit or the scale "
+        "of force or pressure is wrong (is the force in kg?), or the inner diameter"
     )
     return [Finding("doubt", text)]
 
