@@ -21,7 +21,7 @@ from typing import Any
 from pmabench.base.errors import DeviceError, RecordError
 from pmabench.base.system import try_lock
 
-UNCLEAN = "the program ended without saying that the bench was safe"
+UNCLEAN = "the program or its guard ended without saying that the bench was safe"
 
 
 def root() -> Path:

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import pytest
+from scipy.stats import binom
 
 from pmabench.kinds.reduce import compared, verdicts
 from pmabench.report.words import described
@@ -142,3 +143,20 @@ def test_the_way_that_a_protocol_of_paper_1_names_is_compared():
         ("contraction against sine, paper 1's way", pytest.approx(-30.0), pytest.approx(50.0))
     ]
     assert described("contraction against sine, paper 1's way") == described("contraction against sine") != ""
+
+
+@pytest.mark.parametrize("beyond", range(8))
+def test_many_small_differences_tell_what_none_does(beyond):
+    """10 of 23 were beyond, by 6 % of the cell in one of the tests, and the tests "agreed"."""
+    pressures = [1e5 + 2e4 * n for n in range(23)]
+    one = [estimate("K", 6770.0, 30.0, P, "measured-pressure") for P in pressures]
+    two = [
+        estimate("K", 6770.0 + (45.0 if n < beyond else 5.0), 30.0, P, "sine-harmonic", mean=0.01)
+        for n, P in enumerate(pressures)
+    ]
+    tests = [Analysis("contraction-relaxation", ("r1",), False, tuple(one)), replace(sines(0, 0), estimates=tuple(two))]
+    found = compared(tests)
+    assert found.facts == {"comparisons": 23, "beyond_intervals": beyond}
+    doubts = [f.text for f in found.findings if f.level == "doubt"]
+    assert bool(doubts) == (binom.sf(beyond - 1, 23, 0.05) <= 0.01)
+    assert not found.refusals

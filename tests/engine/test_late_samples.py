@@ -90,6 +90,17 @@ def test_what_was_not_collected_while_the_bench_was_armed_is_no_silence():
             acquisition.pass_time(0.4)
 
 
+def test_a_program_that_stood_still_blames_no_device():
+    """Stopped for 3 s: the record named a gauge that had sent all the time, and not what the guard says."""
+    acquisition, _ = sampling(lambda now: 0.001 if now < 1.0 or now > 4.05 else now - 1.0)
+    acquisition.pass_time(1.0)
+    acquisition.clock.wait_until(4.0)
+    acquisition.pass_time(0.3)
+    acquisition, _ = sampling(lambda now: 0.001 if now < 1.0 else now - 1.0)
+    with pytest.raises(DeviceError, match="no sample for"):
+        acquisition.pass_time(3.0)
+
+
 def ever_later(begins, most):
     """Half a second later each second, up to `most` [s]: a buffer that fills."""
     return lambda now: min(max(0.0, 0.5 * (now - begins)), most)

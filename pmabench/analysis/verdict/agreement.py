@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from math import hypot, inf, isnan, nan
+from math import comb, hypot, inf, isnan, nan
 from typing import Any
 
 import numpy as np
@@ -168,6 +168,8 @@ def weighted(pairs: Sequence[tuple[Estimate, float]], symbol: str) -> Estimate:
 KIND = "agreement"
 FALSE_ALARM = 0.01
 """Probability of a false contradiction in all comparisons of one specimen together."""
+BEYOND = 0.05
+"""Share of differences beyond their intervals by chance."""
 FEWEST = 3
 """Least degrees of freedom of a scatter; that of a single trial is the scatter of its cycles."""
 OF_FORM = ("F_ce", "F", "K")
@@ -270,6 +272,8 @@ def agreement(analyses: Sequence[Analysis], offers: Sequence[Offer], instead: st
             findings.append(Finding("note", text))
     if not findings:
         return None
+    beyond = sum(one.score > 1.0 for one in known)
+    findings += _many(beyond, len(known))
     return Analysis(
         KIND,
         tuple(dict.fromkeys(run for analysis in analyses for run in analysis.runs)),
@@ -277,7 +281,7 @@ def agreement(analyses: Sequence[Analysis], offers: Sequence[Offer], instead: st
         tuple(one.estimate() for one in known if not one.side),
         findings=tuple(findings),
         refusals=tuple(refusals),
-        facts={"comparisons": len(known), "beyond_intervals": sum(one.score > 1.0 for one in known)},
+        facts={"comparisons": len(known), "beyond_intervals": beyond},
     )
 
 
@@ -336,6 +340,15 @@ def _sentence(group: Sequence[Comparison], count: int) -> Finding:
     if worst.score <= 1.0:
         return Finding("note", f"{begin}they agree within their intervals")
     return Finding("note", f"{begin}beyond them, but no further than chance reaches in {count} comparisons")
+
+
+def _many(beyond: int, count: int) -> list[Finding]:
+    """A doubt where more differences are beyond their intervals than chance makes: one alone may tell nothing."""
+    likely = [comb(count, n) * BEYOND**n * (1 - BEYOND) ** (count - n) for n in range(beyond)]
+    if 1 - sum(likely) > FALSE_ALARM:
+        return []
+    text = f"{beyond} of {count} differences between the tests are beyond their intervals, where chance makes"
+    return [Finding("doubt", f"{text} {max(1, round(BEYOND * count))}: a sensor, or the specimen, was not the same")]
 
 
 def _refusal(group: Sequence[Comparison], count: int, instead: str) -> list[str]:
