@@ -307,7 +307,8 @@ def _valves_alone(bench: CompiledBench, guard: AnyGuard, acquisition: Acquisitio
         raise LimitTripped(
             f"the proof test of {' and '.join(valves)} failed: {ALONE:g} s after it was opened "
             f"{_measured(acquisition, names)} is measured, while the regulator still commands "
-            f"{show(proof.pressure, 'pressure')}: look at the valve's plug, its air, and at what is in its way"
+            f"{show(proof.pressure, 'pressure')}: look at the valve's plug, its air, and at what is in its way. "
+            "The gauge must be on the muscle's side of the valve"
         )
     return None if found is None else found - opened_at
 
