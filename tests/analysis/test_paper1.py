@@ -377,7 +377,7 @@ def test_no_curve_is_negative_anywhere_on_its_domain(stiff: list[float], damp: l
     from pmabench.kinds.contraction_relaxation.paper1 import _curves
 
     members = estimates("K", PRESSURES, np.array(stiff)) + estimates("B_r", PRESSURES, np.array(damp))
-    curves, findings, _ = _curves(members, {} if order is None else {"K": order, "B_r": order})
+    curves, findings = _curves(members, {} if order is None else {"K": order, "B_r": order})
     grid = np.linspace(1e5, 6e5, 3001)
     for one in curves:
         assert float(one.values(grid).min()) > 0
