@@ -283,3 +283,14 @@ def test_a_gain_that_may_be_nothing_ends_no_reduction():
     found = reduce_recorded([judged_forms.as_run("recorded-sine", trials, sines.RATE, {})])
     (bandwidth,) = [e for e in found.estimates if e.symbol == "f_b" and e.at == {}]
     assert 1.2 < bandwidth.value < 2.6
+
+
+@pytest.mark.parametrize(("scale", "said"), [(1.0, ""), (1.15, "1.06"), (6.895, "6.34")])
+def test_a_pressure_that_swings_further_than_its_command_is_doubted(scale, said):
+    """A column in kPa that the map called psi gave amplitudes 170 half widths off, next to its command in kPa."""
+    run = prompt(stamped(-0.2, f=0.5))
+    trials = [replace(t, channels={**t.channels, "pressure": scale * t.channels["pressure"]}) for t in run.trials]
+    found = [f.text for f in reduce_recorded([replace(run, trials=tuple(trials))]).findings if f.level == "doubt"]
+    assert [f"swings {said} times as far as its command" in text for text in found if "swings" in text] == [
+        True
+    ] * bool(said)

@@ -48,6 +48,8 @@ ANOTHER = 1.05
 """Sines whose drive is larger by this factor are not repeats."""
 SURE = 5.0
 """Standard deviations from which on the frequency differs from the stated one."""
+AMPLIFIED = 0.03
+"""Share by which a pressure may swing further than its command at the lowest frequency [1]."""
 NO_SINE = 0.1
 """Residual of the first harmonic, as a share of the signal, from which on it is reported."""
 Complex = NDArray[np.complex128]
@@ -400,6 +402,11 @@ def _over_frequency(sines: Sequence[Sine]) -> list[Finding]:
         if left and max(left) > NO_SINE:
             text = f"{name} is no pure sine: {min(left):.0%} to {max(left):.0%} is left by the first harmonic"
             lines.append(Finding("note", f"{text}, and only the harmonic is reported"))
+    slowest = min(sines, key=lambda sine: sine.frequency, default=None)
+    if slowest is not None and abs(slowest.amplitudes["pressure"]) > (1 + AMPLIFIED) * slowest.drive:
+        times, at = abs(slowest.amplitudes["pressure"]) / slowest.drive, show(slowest.frequency, "frequency", 3)
+        text = f"at {at} the pressure swings {times:.3g} times as far as its command, which no regulator does so slowly"
+        lines.append(Finding("doubt", f"{text}: the unit or the scale of the gauge, or of the command, is wrong"))
     most = max((sine.late["pressure"][1] for sine in sines), default=0.0)
     if len(sines) > 2 and most > 0:
         fastest = max(sine.omega for sine in sines)
