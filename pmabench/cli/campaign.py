@@ -77,7 +77,9 @@ def run_campaign(
     """
     from pmabench.cli.prepare import Prepared, seeded
     from pmabench.cli.run import execute
+    from pmabench.cli.runs import ended_early
     from pmabench.kinds.compile import plan_campaign
+    from pmabench.store.reader import open_run
 
     name, planned = plan_campaign(find_file("campaign", file))
     outcomes: list[Outcome] = []
@@ -88,7 +90,7 @@ def run_campaign(
         before = _before(out, name, number, run.plan.sha256) if resume else None
         if before is not None:
             folder, status = before
-            if status in {"finished", "failed"}:
+            if status == "finished" or (status == "failed" and not ended_early(open_run(folder))):
                 ui.note(f"{title}: {status} already, in {folder.name}")
                 continue
             from pmabench.engine.resume import continue_run

@@ -300,7 +300,7 @@ def _newest(out: Path) -> Path:
 
 def _left(folder: Path, data: RunData) -> tuple[int, str]:
     """How many trials are left, and the command to type where none can be done by going on."""
-    from pmabench.cli.runs import ENDED_EARLY, going_on, trials_left
+    from pmabench.cli.runs import ended_early, going_on, trials_left
     from pmabench.report.many import without_trials
 
     after = going_on(folder, data)
@@ -309,7 +309,7 @@ def _left(folder: Path, data: RunData) -> tuple[int, str]:
         return 0, f"pmabench continue {typed(later)}    goes on after the run that continued this one"
     if after["resume"]:
         return trials_left(data), ""
-    if data.status in ENDED_EARLY and not any(trial.status == "finished" for trial in data.trials):
+    if ended_early(data) and not any(trial.status == "finished" for trial in data.trials):
         return 0, "nothing of it can be processed or continued; run the protocol again"
     if without_trials(folder):
         return 0, f"nothing: a run of kind {data.kind} has no trials to process"

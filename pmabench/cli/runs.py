@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any
@@ -47,7 +47,9 @@ def list_runs(ui: Ui, folder: Path) -> None:
     continued = {row["continues"] for row in rows}
     for row in rows:
         left = row["trials_planned"] - row["trials_finished"] - row["trials_before"]
-        row["resume"] = "" if row["id"] in continued else _resume(folder / row["folder"], row["status"], left)
+        row["resume"] = ""
+        if row["status"] in ENDED_EARLY and row["id"] not in continued:
+            row["resume"] = _resume(folder / row["folder"], left)
 
     def human() -> None:
         from pmabench.store.since import Added, Since
@@ -78,9 +80,9 @@ def list_runs(ui: Ui, folder: Path) -> None:
     ui.result({"schema": "pmabench.runs/1", "runs": rows}, human)
 
 
-def _resume(run: Path, status: str, left: int) -> str:
-    """The command that continues a run that ended early; empty where it cannot be continued."""
-    return f"pmabench run --resume {quote(str(run))}" if status in ENDED_EARLY and left > 0 else ""
+def _resume(run: Path, left: int) -> str:
+    """The command that continues a run that ended early; empty where no trial is left."""
+    return f"pmabench run --resume {quote(str(run))}" if left > 0 else ""
 
 
 @command.command(name="show")
@@ -181,20 +183,30 @@ def going_on(run: Path, data: RunData) -> dict[str, str]:
     """The run that continues this one, and the command that would; both empty where nothing is left to do."""
     from pmabench.store.chain import goes_on
 
-    if data.status not in ENDED_EARLY or not isinstance(data.manifest.get("sources"), Mapping):
+    if not ended_early(data) or not isinstance(data.manifest.get("sources"), Mapping):
         return {"continued_by": "", "resume": ""}
     after = goes_on(run)
-    resume = "" if after else _resume(run, data.status, trials_left(data))
+    resume = "" if after else _resume(run, trials_left(data))
     return {"continued_by": after.name if after else "", "resume": resume}
 
 
-def trials_left(data: RunData) -> int:
-    """How many planned trials were finished neither in this run nor in those that it continues."""
+def ended_early(data: RunData) -> bool:
+    """Whether it ended before its last trial, as one that failed between trials did, or at a load by older versions."""
+    from pmabench.store.records import ENDED
+
+    if data.status != "failed":
+        return data.status in ENDED_EARLY
+    chosen = any(event.kind == "choice-end" for event in data.events)  # of all that could be chosen
+    return not chosen and trials_left(data, ENDED) > 0
+
+
+def trials_left(data: RunData, done: Collection[str] = ("finished",)) -> int:
+    """How many planned trials have none of the statuses `done`, neither in this run nor in those that it continues."""
     link = data.manifest.get("continues")
     before = link.get("trials_done") if isinstance(link, Mapping) else None
-    done = {t.index for t in data.trials if t.status == "finished" and not t.again}
-    done |= set(before) if isinstance(before, list) else set()
-    return int(data.manifest.get("trials_planned") or 0) - len(done)
+    ended = {t.index for t in data.trials if t.status in done and not t.again}
+    ended |= set(before) if isinstance(before, list) else set()
+    return int(data.manifest.get("trials_planned") or 0) - len(ended)
 
 
 def _print_session(data: RunData) -> None:

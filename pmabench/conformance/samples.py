@@ -49,7 +49,7 @@ GRID = 0.002
 LAG = 0.75
 """Largest delay or advance of samples against the plant, as a fraction of their period."""
 LOST = 0.5
-"""Share of the borders between blocks at which a sample may be missing, since a busy computer loses some anywhere."""
+"""Share of the borders between blocks at which a sample may be lost or repeated: a busy computer does it anywhere."""
 RAGGED = 0.35
 """Largest mean deviation during the motion, as a fraction of the plant's change per sample period."""
 
@@ -394,4 +394,8 @@ def _follows(
             f"samples of {channel.name} do not belong to their times: they are off by {ragged:.0%} of what the plant "
             "changes from one to the next; are values repeated, or lost?"
         )
+    same = [later == earlier for earlier, later in pairwise(found.values[channel.name])]
+    between = [same[border - 1] for border in found.borders if 0 < border <= len(same)]
+    if sum(between) > LOST * len(between) and sum(between) / len(between) > 2 * sum(same) / len(same):
+        raise Late(f"most blocks of {channel.name} begin with the last value of the block before")
     return True

@@ -225,6 +225,21 @@ def test_a_gauge_that_is_off_the_drive_is_in_the_intervals(run, off, scale):
     assert D_0.ci95[0] <= 0.02 <= D_0.ci95[1]
 
 
+@pytest.mark.parametrize(("off", "scale"), [(2e-4, 0.0), (0.0, 0.01)])
+def test_what_the_calibration_of_the_gauge_leaves_open_is_in_the_budget(run, off, scale):
+    """Truly a reading is x + offset + gain x: the volume is off by that times dV/dx of the muscle's closed form."""
+    gauge = replace(run.channels["displacement"], offset_uncertainty=off, gain_uncertainty=scale)
+    only = replace(run, channels={**run.channels, "displacement": gauge, "pressure": unknown(run.channels["pressure"])})
+    for e in volumes(reduce([only])):
+        x = e.at["contraction"]
+        slope = (true_volume(x + 1e-6) - true_volume(x - 1e-6)) / 2e-6
+        assert e.parts.calibration == pytest.approx(slope * (off + scale * x), rel=0.05, abs=1e-12)
+
+
+def unknown(channel):
+    return replace(channel, offset_uncertainty=0.0, gain_uncertainty=0.0)
+
+
 def test_a_gauge_that_is_half_a_millimetre_off_gives_no_volume(run):
     found = reduce([moved(run, 5e-4)])
     assert all(e.withheld for e in found.estimates)

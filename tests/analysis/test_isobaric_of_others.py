@@ -15,6 +15,7 @@ from pmabench.kinds.isobaric_ramp.reduction import reduce
 from pmabench.store.records import RunData, TrialData
 from tests.analysis.driven_runs import recorded
 from tests.analysis.judged_forms import as_run, as_trials, swept_of
+from tests.analysis.test_honesty import reads, reported
 from tests.judge import swept
 from tests.judge.record import Ramp, Trial
 
@@ -75,6 +76,28 @@ def test_no_value_is_sure_of_what_its_turns_hide(ramps, ripple, height):
         half = 0.5 * (e.ci95[1] - e.ci95[0])
         # near the ends of the stroke a turn that is no exponential leaves up to 1.1 half widths
         assert abs(e.value - truth) <= 1.2 * half, (e.symbol, dict(e.at), e.value, truth, half)
+
+
+@pytest.mark.parametrize("offset", [4e-4, -6e-4])
+def test_a_gauge_that_reads_wrong_by_its_offset_leaves_the_turns_in_the_intervals(ramps, offset):
+    """The turns are taken off where the drive was sent: K near one was 1.7 half widths off, F_ce 1.3."""
+    chance = np.random.default_rng(1)
+
+    def of_another_muscle(trial: TrialData) -> TrialData:
+        x, P = trial.channels["displacement"], trial.point["pressure"]
+        F = force(x, P) - 10.0 * (0.2 + 0.8 * P / 5e5) * hysteresis(x) + chance.normal(0, 0.3, len(x))
+        return replace(trial, channels={**trial.channels, "pressure": np.full(len(x), P), "force": F})
+
+    run = replace(ramps, trials=tuple(of_another_muscle(trial) for trial in ramps.trials))
+    found = reduce([reads(reported(run, "displacement", 0.0, abs(offset)), "displacement", 0.0, offset)])
+    checked = [e for e in found.estimates if e.value is not None and (e.symbol, e.method) in NEAR_TURNS]
+    assert len(checked) > 10
+    for e in checked:
+        truth = (stiffness if e.symbol == "K" else force)(e.at.get("contraction", 0.0), e.at["pressure"])
+        assert abs(e.value - truth) <= 1.2 * e.parts.combined, (e.symbol, dict(e.at), e.value, truth, e.parts)
+
+
+NEAR_TURNS = (("K", "mean-curve, local"), ("F_ce", "mean-curve"), ("F", "mean-curve, local"))
 
 
 @pytest.fixture(scope="module")

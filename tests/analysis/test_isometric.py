@@ -173,6 +173,23 @@ def test_intervals_of_labs_with_several_sessions_hold_the_truth():
     assert 0.90 <= covered(range(50)) <= 0.99
 
 
+@pytest.mark.parametrize("reads", [22.0, 500.0])
+def test_a_single_sample_of_a_slack_muscle_above_the_threshold_is_no_part_of_the_line(reads):
+    """At 3 kPa it made the line begin there, and changed the slope."""
+    rule, runs = {"force_above": 20.0, "also_at": [10.0, 30.0]}, lab(2)
+    plain = isometric.reduce(runs, rule)
+    noisy = lab(2)
+    for run in noisy:
+        run.trials[0].channels["force"][1] = reads
+    found = isometric.reduce(noisy, rule)
+    assert [(e.symbol, e.method, e.value, e.ci95) for e in found.estimates] == [
+        (e.symbol, e.method, e.value, e.ci95) for e in plain.estimates
+    ]
+    ((first, *_), *_) = found.facts["cells"][0]["forces"]
+    assert first > 80e3 + 20.0 / 0.62e-3
+    assert found.curves[0].r2 == plain.curves[0].r2
+
+
 @pytest.mark.study
 def test_intervals_of_a_thousand_labs_hold_the_truth():
     share = covered(range(1000, 2000))

@@ -305,3 +305,68 @@ def test_a_pressure_that_sags_is_worth_more_where_the_force_does_not_grow_in_pro
         assert abs(e.value - 0.02) <= e.parts.combined
     assert len(sagging(pressures, sag=0.0)) == len(pressures)
     assert all(e.parts.combined < 0.0025 for e in sagging(pressures, sag=0.0))
+
+
+def first(P, x):
+    """F_1 of a muscle in closed form [N]."""
+    return 1.2e-3 * P - 9e3 * x
+
+
+def holds(of, places, seed=1):
+    """A trial at each of `places` (contraction, pressure) in closed form, s = 2 %; `of` (trial, s after the step, F)."""
+    rng, trials = np.random.default_rng(seed), []
+    for x, P in places:
+        t = 500.0 * len(trials) + np.arange(0.0, 130.0, 0.1)
+        step = t[0] + 5.0
+        held = (t > step) & (t < step + 120.0)
+        F = np.where(held, law(np.maximum(t - step, 0.05), first(P, x)), 0.0)
+        F = of(len(trials), t - step, F) + 0.1 * rng.standard_normal(len(t))
+        channels = {"pressure": np.where(held, P, 0.0) + 50.0 * rng.standard_normal(len(t)), "force": F}
+        commands = (
+            Command(step, "pressure", "set", P, 0.0, "step", {}),
+            Command(step + 120.0, "pressure", "set", 0.0, P, "vent", {}),
+        )
+        point = {"contraction": x, "pressure": P}
+        flags = np.zeros(len(t), np.uint16)
+        trials.append(TrialData("lab", len(trials), point, 0, False, "finished", t, channels, flags, commands, {}))
+    known = {
+        name: {"gain_uncertainty": 2e-3, "offset_uncertainty": o} for name, o in (("force", 1.0), ("pressure", 1500.0))
+    }
+    return as_run("relaxation", trials, 10.0, {"begin": 5.0}, known)
+
+
+POINTS = [(x, P) for x in (0.0, 0.01, 0.02) for P in (3e5, 5e5)]
+
+
+@pytest.mark.parametrize("gain", [0.06, -0.01])
+@pytest.mark.parametrize("since", [8.0, 20.0, 50.0, 100.0])
+def test_a_gain_that_changes_within_a_hold_is_in_every_value_and_said(gain, since):
+    """With one trial a point the forces after it were 8.8 half widths off: F_1 jumps, and the pressure does not."""
+    found = reduce([holds(lambda n, t, F: F * np.where((n > 2) | ((n == 2) & (t >= since)), 1 + gain, 1.0), POINTS)])
+    (text,) = [f.text for f in found.findings if "the force jumps" in f.text]
+    assert text.startswith(f"{since:.0f} s after the step of trial 3")
+    known = [e for e in found.estimates if e.symbol in ("s", "F_1") and e.value is not None]
+    assert all(e.withheld for e in found.estimates if e.symbol == "F_1") == (gain == 0.06)
+    for e in known:
+        truth = 0.02 if e.symbol == "s" else first(e.at["pressure"], e.at["contraction"])
+        assert abs(e.value - truth) <= e.parts.combined, (e.symbol, e.at, e.value, e.parts)
+
+
+def test_a_gain_that_changes_between_two_trials_makes_another_muscle_and_that_it_would_not_show_is_said():
+    """g(n) F_n for a gain of each trial is the record of a muscle with these forces: only a point done again differs."""
+    found, said = reduce([holds(lambda n, _t, F: F * np.where(n > 2, 1.06, 1.0), POINTS)]), "would have, and nothing"
+    assert len([f for f in found.findings if f.level == "doubt" and said in f.text]) == 1
+    repeated = reduce([holds(lambda _n, _t, F: F, [*POINTS, POINTS[0]])])
+    assert not [f for f in repeated.findings if f.level == "doubt"]
+
+
+def test_what_the_pressure_or_slow_noise_makes_of_the_force_is_no_jump():
+    """A blow of 0.3 s and a noise with a memory of 10 s, larger than the white one."""
+    rng = np.random.default_rng(7)
+
+    def slow(_n, t, F):
+        return (
+            F + lfilter([0.14], [1, -0.99], rng.standard_normal(len(t))) * 3 + np.where(abs(t - 40) < 0.11, 30.0, 0.0)
+        )
+
+    assert not [f for f in reduce([holds(slow, POINTS)]).findings if "jumps" in f.text]

@@ -11,6 +11,7 @@ from click.testing import CliRunner
 from pmabench.cli import run as run_module
 from pmabench.cli.campaign import severity
 from pmabench.cli.main import main
+from pmabench.store.folder import open_json, sealed_json
 
 LIFTS = "{sweep.matrix.load: [6 kg], sweep.repeat.count: 1, prepare.precondition.cycles: 0}"
 NEVER = LIFTS.replace("{", "{trial.search.up_to: 60 kPa, ")
@@ -91,7 +92,8 @@ def test_quiet_campaigns_print_folders_and_why_they_ended(tmp_path):
     assert sorted(result.stdout.splitlines()) == sorted(str(folder) for folder in (tmp_path / "o").glob("2*"))
 
 
-def test_a_bench_that_is_wired_wrongly_ends_it_and_what_is_left_is_done_later(tmp_path):
+@pytest.mark.parametrize("version", ["now", "older"])
+def test_a_bench_that_is_wired_wrongly_ends_it_and_what_is_left_is_done_later(tmp_path, version):
     """Under pressure the displacement falls: the next run would be pressurised on the same bench."""
     fixtures = Path(run_module.__file__).parents[2] / "fixtures" / "benches"
     text = (fixtures / "mock.yaml").read_text().replace("seed: 1}", "seed: 1, errors: {displacement: {factor: -1}}}")
@@ -102,7 +104,11 @@ def test_a_bench_that_is_wired_wrongly_ends_it_and_what_is_left_is_done_later(tm
     (only,) = json.loads(result.stdout)["runs"]
     assert (only["status"], only["exit_code"], result.exit_code) == ("error", 4, 4)
     assert "the displacement falls" in only["why"]
+    if version == "older":  # it took the falling displacement for a verdict
+        seal = Path(only["run"]) / "seal.json"
+        seal.write_bytes(sealed_json({**open_json(seal.read_bytes(), seal), "status": "failed"}))
     went_on = CliRunner().invoke(main, ["continue", str(only["run"]), "--json"])
+    assert f"pmabench run --resume {only['run']}" in went_on.stderr
     assert "0 of 1 trials are done" in went_on.stderr
     assert "process" not in went_on.output
     again = CliRunner().invoke(

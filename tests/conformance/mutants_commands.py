@@ -1,5 +1,6 @@
 """Faults of set-points, valves, inputs, ramps and stops."""
 
+import time
 from contextlib import suppress
 from dataclasses import replace
 
@@ -403,6 +404,34 @@ class LevelFromMemory(_Locks):
 class LevelIsANumber:
     def level(self, name):
         return float(super().level(name))
+
+
+@fault("Inputs", "inputs", "contact is unsafe")
+class LevelOld(_Locks):
+    """As it was 0.3 s ago, by the questions until then."""
+
+    known = None
+
+    def level(self, name):
+        known = self.known = self.known or []
+        known.append((time.monotonic(), name, super().level(name)))
+        old = [level for at, asked, level in known if asked == name and at < known[-1][0] - 0.3]
+        return (old or [known[-1][2]])[-1]
+
+
+@fault("Inputs", "inputs", "contact is unsafe")
+class LevelOfTheLastFeed(_Locks):
+    """Asked when the watchdog is fed, which happens ten times a second."""
+
+    known = None
+
+    def feed_watchdog(self):
+        super().feed_watchdog()
+        self.known = {lock.input: super(LevelOfTheLastFeed, self).level(lock.input) for lock in self._device.interlocks}
+
+    def level(self, name):
+        now = super().level(name)
+        return (self.known or {}).get(name, now)
 
 
 # -- ramps, sines, stops ----------------------------------------------------------------------------------------------

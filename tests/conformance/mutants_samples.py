@@ -227,6 +227,21 @@ class ValuesReversedInTheBlock(_Channels):
         return changed(super().collect(), lambda n, v: v[::-1])
 
 
+@fault("Stream", "values", "")
+class ValuesFirstOfBlock(_Channels):
+    """The first value of a block is the last one of the block before."""
+
+    kept = None
+
+    def collect(self):
+        def repeated(name, values):
+            last = (self.kept or {}).get(name)
+            self.kept = {**(self.kept or {}), name: values[-1] if values else last}
+            return values if last is None or not values else [last, *values[1:]]
+
+        return changed(super().collect(), repeated)
+
+
 # -- times ------------------------------------------------------------------------------------------------------------
 
 

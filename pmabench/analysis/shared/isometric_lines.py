@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from math import sqrt
 
 import numpy as np
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from pmabench.analysis.shared import student
 from pmabench.analysis.shared.calibration import Scales
-from pmabench.analysis.shared.samples import NotUsable, ends
+from pmabench.analysis.shared.samples import NotUsable, ends, noise_of
 from pmabench.analysis.shared.trials import grouped, mean_over_sessions, measured_trials, session_of
 from pmabench.store.analyses.results import Dropped, Estimate, Parts
 from pmabench.store.records import Array, RunData, TrialData
@@ -28,6 +29,8 @@ PLACES = 9
 """Number of pressures along a line for which forces are given."""
 SAME = 4
 """Decimals [m] to which contractions are compared."""
+AROUND, ALONE = 3, 4.0
+"""Neighbours on either side of a single sample, and by how many standard deviations of noise they must be lower."""
 Mask = NDArray[np.bool_]
 
 
@@ -49,6 +52,20 @@ class Test:
     def name(self) -> str:
         """`run/index`."""
         return self.trial.name
+
+    @cached_property
+    def noise(self) -> float:
+        """Of the force [N]."""
+        return noise_of(self.F)
+
+    def above(self, least: float) -> Mask:
+        """Samples with more force than `least` [N], without single ones whose neighbours in time are far below it."""
+        over = np.pad(self.F > least, 1)
+        found = over[1:-1]
+        for i in np.flatnonzero(found & ~over[:-2] & ~over[2:]):
+            near = np.append(self.F[max(0, i - AROUND) : i], self.F[i + 1 : i + 1 + AROUND])
+            found[i] = np.median(near) >= least - ALONE * self.noise
+        return found
 
 
 Used = Callable[[Test], Mask]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from math import degrees, hypot, isfinite
 from typing import Any
 
@@ -77,48 +78,56 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     if lacking := next((e.note for e in estimates if e.withheld and e.method == TIGHT), ""):
         curve = [withhold(e, f"a volume that it goes through is withheld: {lacking}") for e in curve]
     result.add([*sorted(estimates, key=lambda e: e.method != TIGHT), *curve], (), _traces(estimates, curve, length))
-    result.note_lack(("pressure",), ("pressure",))
+    result.note_lack(MEASURED, MEASURED)
     share = max((m.lost / (m.before + gas.atmosphere) for m in members), key=abs)
     return result.analysis(cells=len(cells), leak=share)
 
 
-def _values(
-    of: Callable[[Gas, float, float], Array], each: Sequence[Array], settings: Mapping[str, Any], scales: Scales
-) -> Iterator[tuple[float, Parts]]:
-    """Each value of `of`(gas, gain, offset), shape (n,), with its interval parts; `each` has the values by cycle, per
-    stroke.
+Errors = Mapping[str, tuple[float, float]]
+"""Channel -> errors of its gain [1] and offset [SI]."""
+MEASURED = ("pressure", "displacement")
 
-    Gain [1] and offset [Pa] are errors of the measured pressure. The method part comes from the plan's half widths of
-    the quantities in `Gas`, named `<name>_half`.
+
+def _values(
+    of: Callable[[Gas, Errors], Array], each: Sequence[Array], settings: Mapping[str, Any], scales: Scales
+) -> Iterator[tuple[float, Parts]]:
+    """Each value of `of`(gas, errors), shape (n,), with its interval parts; `each` has the values by cycle, per stroke.
+
+    The method part comes from the plan's half widths of the quantities in `Gas`, named `<name>_half`.
     """
     gas = Gas.of(settings)
-    value = of(gas, 0.0, 0.0)
+    value = of(gas, {})
     names = ("reference", "dead", "atmosphere")
     others = [replace(gas, **{name: getattr(gas, name) + float(settings[f"{name}_half"])}) for name in names]
-    method = np.sqrt(sum((of(other, 0.0, 0.0) - value) ** 2 for other in others))
-    gain, offset = scales.gains.get("pressure"), scales.offsets.get("pressure")
-    by_scale = of(gas, gain or 0.0, 0.0) - value, of(gas, 0.0, offset or 0.0) - value
-    calibration = np.sqrt(sum(part**2 for part in by_scale))
+    method = np.sqrt(sum((of(other, {}) - value) ** 2 for other in others))
+    wrong = [{name: (scales.gains[name], 0.0)} for name in MEASURED if name in scales.gains]
+    wrong += [{name: (0.0, scales.offsets[name])} for name in MEASURED if name in scales.offsets]
+    calibration = np.sqrt(sum((of(gas, one) - value) ** 2 for one in wrong)) if wrong else np.full(len(value), np.nan)
     for i, one in enumerate(value.tolist()):
         _, half = mean_of_cycles([cycles[:, i] for cycles in each])
-        known = (gain is not None or offset is not None) and np.isfinite(calibration[i])
-        yield one, Parts(half, float(method[i]), float(calibration[i]) if known else None)
+        yield one, Parts(half, float(method[i]), float(calibration[i]) if np.isfinite(calibration[i]) else None)
 
 
-def _wrong(stroke: Stroke, gain: float, offset: float) -> Stroke:
-    before, after = (one * (1 + gain) + offset for one in (stroke.before, stroke.after))
-    return replace(stroke, P=stroke.P * (1 + gain) + offset, before=before, after=after)
+def _mean(members: Sequence[Stroke], gas: Gas, errors: Errors, *, leak: bool) -> Array:
+    """Mean volume at each contraction, with errors of pressure and displacement; the latter moves the contractions."""
+    gain, offset = errors.get("pressure", (0.0, 0.0))
+
+    def wrong(m: Stroke) -> Stroke:
+        before, after = (one * (1 + gain) + offset for one in (m.before, m.after))
+        return replace(m, P=m.P * (1 + gain) + offset, before=before, after=after)
+
+    V = np.asarray(np.mean([wrong(m).volumes(gas, leak=leak).mean(axis=0) for m in members], axis=0))
+    if (moves := errors.get("displacement")) is None:
+        return V
+    x = members[0].x
+    return np.asarray(V - (moves[0] * x + moves[1]) * np.gradient(V, x, edge_order=2 if len(x) > 2 else 1))
 
 
 def _volumes(
     pressure: float, group: Sequence[Stroke], settings: Mapping[str, Any], scales: Scales, method: str, *, leak: bool
 ) -> Iterator[Estimate]:
     """V at each contraction of one start pressure."""
-
-    def mean(gas: Gas, gain: float, offset: float) -> Array:
-        each = [_wrong(m, gain, offset).volumes(gas, leak=leak).mean(axis=0) for m in group]
-        return np.asarray(np.mean(each, axis=0))
-
+    mean = partial(_mean, group, leak=leak)
     each = [m.volumes(Gas.of(settings), leak=leak) for m in group]
     names = tuple(m.trial.name for m in group)
     for x, (value, parts) in zip(group[0].x.tolist(), _values(mean, each, settings, scales), strict=True):
@@ -135,9 +144,8 @@ def _curve(members: Sequence[Stroke], settings: Mapping[str, Any], scales: Scale
         found = fit_volume(eps, V, length)
         return np.full(3, np.nan) if found is None else np.array(found)
 
-    def all_in_one(gas: Gas, gain: float, offset: float) -> Array:
-        V = [_wrong(m, gain, offset).volumes(gas, leak=True).mean(axis=0) for m in members]
-        return fitted(np.mean(V, axis=0))
+    def all_in_one(gas: Gas, errors: Errors) -> Array:
+        return fitted(_mean(members, gas, errors, leak=True))
 
     each = [np.array([fitted(V) for V in m.volumes(Gas.of(settings), leak=True)]) for m in members]
     found = list(_values(all_in_one, each, settings, scales))

@@ -18,7 +18,7 @@ from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import off_command, off_command_findings
 from pmabench.analysis.shared.lines import Line, mean_of_cycles, weighted_line
-from pmabench.analysis.shared.ramp_loop import Loop
+from pmabench.analysis.shared.ramp_loop import Loop, turns_of
 from pmabench.analysis.shared.trials import thinned
 from pmabench.base.quantities import show
 from pmabench.store.analyses.results import Estimate, Finding, Parts, Trace
@@ -280,6 +280,16 @@ class Cell:
                 share = LEFT_OF_TURNS if self.turns_of_each else 1.0
                 found.append(share * abs(of(raw) - of(raw - turns.of_mean(loop.x))))
         return max(found)
+
+    def turned(self, offset: float) -> list[tuple[Loop, Loop]]:
+        """Each loop, and with its turns as they are if the displacement is up to `offset` [m] off, either way."""
+        found = []
+        for loop in (m.loop for m in self.members) if offset else ():
+            gap, (lower, upper) = loop.gap.mean(axis=0), loop.ends
+            for by in (-offset, -offset / 2, offset / 2, offset):
+                if turns := turns_of(loop.x, gap, lower + by, upper + by):
+                    found.append((loop, replace(loop, turns=turns)))
+        return found
 
     def window_error(self, place: float) -> tuple[float, float]:
         """Errors of local force [N] and slope [N/m] because of the width of the cubic, and of turns that decay fast or

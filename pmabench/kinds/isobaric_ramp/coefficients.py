@@ -43,11 +43,12 @@ def of_curve(cell: Cell, scales: Scales, near: Cell | None) -> list[Estimate]:
     """K and F_ce of the mean curve, its force and stiffness along the stroke.
 
     Calibration to first order: forces ~ F, K ~ F/x, and the error of the contraction and pressure for which they are
-    given. `near`: the cell of the next pressure, None without another pressure.
+    given. An error of the contraction also moves the turns, whose effect is taken off. `near`: the cell of the next
+    pressure, None without another pressure.
     """
     x = cell.x
     lower, upper = cell.ends
-    found: list[Estimate] = []
+    found, turned = list[Estimate](), cell.turned(scales.offsets.get("displacement", 0.0))
 
     def estimate(
         symbol: str, kind: tuple[str, str], method: str, of: Callable[[Loop], Array], over_P: float | None, *,
@@ -58,6 +59,8 @@ def of_curve(cell: Cell, scales: Scales, near: Cell | None) -> list[Estimate]:
         gains = {"force": line.start, "displacement": over_x * (place or 0.0) - (0.0 if force else line.start)}
         offsets = {"force": 1.0 if force else 0.0, "displacement": over_x}
         part = cell.part(scales, gains, offsets, over_P)
+        if by_place := max((abs(float(of(other).mean() - of(loop).mean())) for loop, other in turned), default=0.0):
+            part = hypot(part or 0.0, by_place)
         alone = (AT_SPEED if force else IN_A_RAMP) if cell.one_speed and method in OF_MEAN else ""
         within = abs(cell.gap.start) / 2 if alone and force else 0.0
         off = cell.off_command(line.start, over_P, force=force)

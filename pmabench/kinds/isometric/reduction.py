@@ -218,12 +218,12 @@ SENSITIVE = 0.05
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
     """Slope m [N/Pa] and intercept c [N] of F = m P + c at each contraction [m].
 
-    All usable samples with force above `force_above` [N] in the wanted `phases`; the tests of one contraction pooled
-    into one least-squares line (equal weight of samples). The repeats part is Student's t on the scatter of the
-    sessions' mean slopes, for one session on that of the tests: samples within a test are no repeats. Thresholds
-    `also_at` [N] are shown as separate methods, since a threshold on the fitted quantity biases the fit. The method
-    part is the largest change by one of them, by the upper half of the force, or by equal weights of the sessions or of
-    rising and falling pressure; and the uncertainty of the sensors' lags.
+    All usable samples with force above `force_above` [N] in the wanted `phases`, by `Test.above`; the tests of one
+    contraction pooled into one least-squares line (equal weight of samples). The repeats part is Student's t on the
+    scatter of the sessions' mean slopes, for one session on that of the tests: samples within a test are no repeats.
+    Thresholds `also_at` [N] are shown as separate methods, since a threshold on the fitted quantity biases the fit. The
+    method part is the largest change by one of them, by the upper half of the force, or by equal weights of the
+    sessions or of rising and falling pressure; and the uncertainty of the sensors' lags.
 
     `options` (else the rule of the import map, else these defaults): `force_above` (reading of a slack muscle),
     `also_at` (`RANGE` of the largest force above `force_above`), `phases` [] (all).
@@ -244,7 +244,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         fits = _fits(tests, above, asked)
         first = fits[above]
         at = {"contraction": contraction}
-        whole = lambda test: test.F > above, (first.line.m, first.line.c)
+        whole = lambda test: test.above(above), (first.line.m, first.line.c)
         found = departures(tests, *whole)
         lines = [first.mean, *((pooled.line.m, pooled.line.c) for pooled in fits.values()), even(tests, *whole)]
         half = half_steps([(test.run, test.trial) for test in tests], ("force", "pressure"))
@@ -259,7 +259,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             others.append(replace(m_there, note=sentences(m_there.note, NO_METHOD)))
         line = first.line
         curves.append(Curve("F", "line", (c, m), "pressure", (line.low, line.high), line.r2, line.rms, METHOD))
-        by_phase = isometric_lines.branches(tests, lambda test: test.F > above, phases)
+        by_phase = isometric_lines.branches(tests, lambda test: test.above(above), phases)
         findings += [*_sentences(contraction, fits, above), *found.findings(_where(contraction))]
         forces = isometric_lines.forces_of(first, tests, [*lines, *found.lines((line.m, line.c))])
         cells.append({**_facts(contraction, tests, fits, above), "forces": forces, "slopes_of_phases": by_phase})
@@ -298,9 +298,9 @@ def _above_slack(runs: Sequence[RunData], phases: Sequence[str]) -> float:
 
 def _fits(tests: Sequence[Test], above: float, asked: Sequence[float]) -> dict[float, Pooled]:
     """Threshold of force [N] -> line above it: the rule's, those asked for, and shares of the largest force."""
-    largest = max(float(test.F.max()) for test in tests)
+    largest = max(float(test.F[test.above(above)].max()) for test in tests)
     also = [above + share * (largest - above) for share in (RANGE[-1:] if asked else RANGE)]
-    fits = {least: pool(tests, lambda test, least=least: test.F > least) for least in (above, *asked, *also)}  # type: ignore[misc]
+    fits = {least: pool(tests, lambda test, least=least: test.above(least)) for least in (above, *asked, *also)}  # type: ignore[misc]
     return {threshold: pooled for threshold, pooled in fits.items() if pooled is not None}
 
 
@@ -320,7 +320,7 @@ def _facts(contraction: float, tests: Sequence[Test], fits: Mapping[float, Poole
 
 def _lack(test: Test, above: float) -> str:
     """Why a test has too few samples above the threshold; empty where it has enough."""
-    used = test.F > above
+    used = test.above(above)
     count = int(np.count_nonzero(used))
     if count >= FEWEST and np.ptp(test.P[used]) > 0:
         return ""
@@ -346,7 +346,8 @@ def _trace(contraction: float, tests: Sequence[Test], line: Line, above: float) 
     """Samples of all tests, thinned evenly, with the line where it was fitted."""
     number = np.concatenate([np.full(len(test.P), float(test.trial.repeat)) for test in tests])
     P, F = (np.concatenate([getattr(test, name) for test in tests]) for name in ("P", "F"))
-    columns = {"pressure": P, "force": F, "fit": np.where(above < F, line(P), np.nan), "test": number}
+    used = np.concatenate([test.above(above) for test in tests])
+    columns = {"pressure": P, "force": F, "fit": np.where(used, line(P), np.nan), "test": number}
     quantities = {"pressure": "pressure", "force": "force", "fit": "force", "test": "count"}
     ends = {"low": line.low, "high": line.high}
     marks = {"contraction": contraction, "m": line.m, "c": line.c, "force_above": above, **ends}

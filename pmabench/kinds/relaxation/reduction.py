@@ -8,7 +8,7 @@ fitted to means over equal parts of log t, so that each decade has the same weig
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import log10, sqrt
 from typing import Any
@@ -29,13 +29,15 @@ from pmabench.kinds.relaxation import RESULTS
 from pmabench.plotting.chart import Chart, Series
 from pmabench.plotting.looks import PALETTE
 from pmabench.plotting.pictures import Picture, column, has, head, how_many, numbers, of_charts, spread, unit_of
-from pmabench.store.analyses.results import Analysis, Estimate, Parts, Trace
+from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, Command, RunData, TrialData
 
 PER_DECADE = 20
 """Means in each decade of time."""
 TIMES = (1.0, 10.0, 100.0, 1000.0)
 """Time constants of the exponentials [s]."""
+JUMPS_OVER, JUMPS, LEAST_JUMP = 9, 8.0, 5e-3
+"""Samples on either side of a jump; a jump in usual differences between them, and as a share of the force."""
 LONGEST_LAG = 0.1
 """Longest lag of the noise's correlation, as a share of the samples."""
 
@@ -77,6 +79,21 @@ class Relaxing:
     def bent(self) -> float:
         """Value at t = 1 s of a parabola over log10 t minus that of the straight line [as y]."""
         return float(np.polyfit(self.decades, self.means(self.y), 2)[2]) - self.line[0]
+
+    @cached_property
+    def jump(self) -> tuple[float, float]:
+        """The largest step between two samples that a course over log t cannot have, and its time; 0 without one.
+
+        What the line through the medians of the next samples before and after has, is no step.
+        """
+        n = JUMPS_OVER
+        near = np.median(np.lib.stride_tricks.sliding_window_view(self.y, n), axis=1)
+        steps = 1.5 * (near[2 * n : -n] - near[n : -2 * n] - (near[3 * n :] - near[: -3 * n]) / 3)
+        if not len(steps):
+            return 0.0, 0.0
+        size, place = np.abs(steps), int(np.argmax(np.abs(steps)))
+        least = max(JUMPS * float(np.median(size)) / 0.6745, LEAST_JUMP * abs(float(self.y.mean())))
+        return (float(steps[place]), float(self.t[place + 2 * n])) if size[place] > least else (0.0, 0.0)
 
     def _of_parts(self, weights: Array) -> Array:
         """Weights of samples from those of the parts' means."""
@@ -147,7 +164,7 @@ UNPROPORTIONAL = 3.0
 """Bound for the force growing faster than in proportion to the pressure: reached by a muscle at a quarter of its force
 without contraction.
 """
-BEND, BEFORE, ZERO = "bend over log t", "holds before", "zero of the force"
+BEND, BEFORE, ZERO, JUMP = "bend over log t", "holds before", "zero of the force", "jump of the force"
 
 
 @dataclass(frozen=True)
@@ -225,7 +242,7 @@ class Course:
             f"{show(off, 'force', 2)} off at 1 s. Begin earlier"
         )
         # the effect of earlier holds at 1 s is known better from `left_behind`
-        others = [d for d in self.doubts() if d.name not in {BEND, BEFORE, ZERO}]
+        others = [d for d in self.doubts() if d.name not in {BEND, BEFORE, ZERO, JUMP}]
         seen = abs(self.zero) > ZERO_SEEN * self.noise
         text = f"without pressure the cell may read {self.drifted:+.3g} N more than at first: zero it, and look "
         return [
@@ -261,7 +278,24 @@ class Course:
             Doubt(BEFORE, "drift", abs(s * left), bool(self.before), before),
             Doubt("pressure", "method", UNPROPORTIONAL * abs(other), False, f"{pressure}. Look at the regulator"),
             Doubt("moment of the step", "method", abs(s * moment), False),
+            Doubt(JUMP, "drift", abs(self.jumped.line[1] / F), bool(one.jump[0]), self.of_jump if one.jump[0] else ""),
         ]
+
+    @property
+    def jumped(self) -> Relaxing:
+        """What the jump adds to the force [N]."""
+        size, since = self.relaxing.jump
+        return replace(self.relaxing, y=np.where(self.relaxing.t >= since, size, 0.0))
+
+    @property
+    def of_jump(self) -> str:
+        """The sentence about the jump of the force."""
+        size, since = self.relaxing.jump
+        return (
+            f"{since:.0f} s after the step of trial {self.trial.number} the force jumps by {size / self.start:+.1%}, "
+            "not with the pressure: the gain of the cell or of the gauge changed, or a mount slipped. Whether trials "
+            "before or after it are right is not known. Look for the cause, and measure again"
+        )
 
 
 def measure(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Course:
@@ -348,6 +382,10 @@ KIND = "relaxation"
 LINE, PRONY = "relaxation, log t", "relaxation, Prony"
 LEAST = 0.05
 """Smallest s per decade to which effects are compared [1]: 2 % of it is the wanted accuracy of 0.1 % per decade."""
+ALONE = (
+    "one trial at each operating point: a cell whose gain changes between two trials, or within the begin of a hold, "
+    "gives forces that another muscle would have, and nothing shows it. Do the first operating point again at the end"
+)
 ONE = "one trial: the repeats part is its noise, and repeated tests may scatter more"
 
 
@@ -358,11 +396,14 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     `begin` [s], in place of the plan's.
     """
     result = Reduction.of(KIND, RESULTS, runs, options, measure)
-    cells = result.cells(_place)
+    cells, jumps = result.cells(_place), [one for one in result.measured if one.relaxing.jump[0]]
     for (x, P), group in cells:
         at = {"pressure": P, "contraction": x}
-        result.estimates += [*_line(at, group, result.scales), *_prony(at, group, result.scales)]
+        result.estimates += [*_line(at, group, result.scales, jumps), *_prony(at, group, result.scales)]
         result.traces.append(_trace(x, P, group[0]))
+    result.findings += [Finding("doubt", one.of_jump) for one in jumps]
+    if 1 < len(cells) == len(result.measured):
+        result.findings.append(Finding("doubt", ALONE))
     result.estimates.sort(key=lambda e: e.method != LINE)
     result.note_lack(("force",))
     return result.analysis(cells=len(cells))
@@ -374,8 +415,8 @@ def _place(one: Course) -> tuple[float, float]:
     return round(point.get("contraction", 0.0), 6), round(point.get("pressure", 0.0), 3)
 
 
-def _line(at: Mapping[str, float], group: Sequence[Course], scales: Scales) -> list[Estimate]:
-    """Relaxation s and F_1 of one cell, with the largest doubts of its trials."""
+def _line(at: Mapping[str, float], group: Sequence[Course], scales: Scales, jumps: Sequence[Course]) -> list[Estimate]:
+    """Relaxation s and F_1 of one cell, with the largest doubts of its trials; `jumps` are the trials with a jump."""
     names = tuple(one.trial.name for one in group)
     note = ONE if len(group) == 1 else ""
     s, F = [one.per_decade for one in group], [one.start for one in group]
@@ -396,6 +437,12 @@ def _line(at: Mapping[str, float], group: Sequence[Course], scales: Scales) -> l
     most = UNPROPORTIONAL * max(one.off * abs(one.start) for one in group)
     share = Doubt("mean pressure", "method", most, seen=False)
     doubts, of_start = _largest([one.doubts() for one in group]), _largest([one.doubts_of_start() for one in group])
+    # what was right, the trials before the jump or those after it, is not known
+    of_start += [
+        Doubt(JUMP, "drift", level * abs(one.relaxing.jump[0] / one.start) + own, True, one.of_jump)
+        for one in jumps
+        for own in [abs(one.jumped.line[0]) if one in group else 0.0]
+    ]
     return [weighed(slope, doubts, max(LEAST, abs(slope.value or 0.0))), weighed(start, [*of_start, left, share])]
 
 
