@@ -75,7 +75,7 @@ def command(
     failed += [text for measure, limit in limits if measure == "difference" for text in _curves_beyond(curves, limit)]
     data = _json(left, right, found, curves, failed)
     if output is not None:
-        from pmabench.report.comparison_page import write_comparison
+        from pmabench.report.other_pages import write_comparison
 
         data["path"] = str(write_comparison(left, right, found, curves, failed, output))
     refusals = [f"NOT ACCEPTED: {clean(text)}" for text in failed]
@@ -242,7 +242,7 @@ def _print(
     ui: Ui, left: Side, right: Side, found: Comparison, curves: Sequence[Published], last: Sequence[str]
 ) -> None:
     from pmabench.plotting.wording import clean
-    from pmabench.report.comparison_page import curve_rows, rows_of
+    from pmabench.report.other_pages import curve_rows, rows_of
 
     console = ui.console(columns=140)
     for side in (left, right):

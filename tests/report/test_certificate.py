@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pmabench.plotting import chart, looks
+from pmabench.plotting import chart, drawing
 from pmabench.plotting.chart import Chart, Series
 from pmabench.report.certificate import quality
 from pmabench.report.certificate.force_chart import READABLE, blue
@@ -69,13 +69,13 @@ def test_the_measures_of_colour_are_right():
     assert lab("#ff0000", "normal") == pytest.approx([53.24, 80.09, 67.20], abs=0.1)
 
 
-@pytest.mark.parametrize("pair", list(itertools.combinations(looks.PALETTE, 2)))
+@pytest.mark.parametrize("pair", list(itertools.combinations(chart.PALETTE, 2)))
 def test_two_series_are_distinguished_by_everybody(pair):
     for sight in SIGHT:
         assert math.dist(*(lab(color, sight) for color in pair)) >= 30
 
 
-@pytest.mark.parametrize("color", [*looks.PALETTE])
+@pytest.mark.parametrize("color", [*chart.PALETTE])
 def test_series_are_seen_on_paper(color):
     assert contrast(color) >= 2.99
 
@@ -302,14 +302,14 @@ def test_ticks_have_the_decimals_of_their_step(value, step, text):
 def test_names_at_curves_do_not_lie_on_each_other():
     x = np.linspace(0, 1, 20)
     lines = tuple(Series(f"name {n}", x, x + 0.001 * n, "#0b5394") for n in range(6))
-    drawn = chart.joined([[Chart("x", "y", lines, 300, 150)]], "six lines")
+    drawn = drawing.joined([[Chart("x", "y", lines, 300, 150)]], "six lines")
     places = sorted(float(y) for y in re.findall(r'y="([\d.]+)"[^>]*>name \d', drawn))
     assert len(places) == 6
     assert min(np.diff(places)) >= chart.NAME
 
 
 def test_a_chart_has_no_style_and_says_what_it_shows():
-    drawn = chart.joined(
+    drawn = drawing.joined(
         [[Chart("x", "y", (Series("a", np.arange(3.0), np.arange(3.0), "#0b5394"),), 300, 150)]], "a line"
     )
     assert " style=" not in drawn

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pmabench.plotting import pictures
-from pmabench.report import coefficient_figures
+from pmabench.report import figures as coefficient_figures
 from pmabench.report.document.content import content_of
 from pmabench.report.document.deviations import Issuer, deviations
 from pmabench.report.document.special_tables import budget_table, change_rows

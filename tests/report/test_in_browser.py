@@ -8,8 +8,7 @@ import numpy as np
 import pypdf
 import pytest
 
-from pmabench.plotting.chart import Chart, Series
-from pmabench.plotting.looks import BLUE, BROWN
+from pmabench.plotting.chart import BLUE, BROWN, Chart, Series
 from pmabench.plotting.pictures import of_charts
 from pmabench.plotting.wording import Frame
 from pmabench.report.certificate.interactive import chart_data
@@ -203,7 +202,7 @@ def test_zoom_holds_a_straight_line_its_name_and_the_ticks(browser, tmp_path):
     ]
     assert all(len(one["x"]) <= 4 for one in chart_series(charts) if "mark" not in one)
     content = content_of([samples.static_load()], [])
-    picture = of_charts([charts], "Lines", "", "lines", Frame([{"a": "1"}]), simulated=False)
+    picture = of_charts([charts], "Lines", "", Frame([{"a": "1"}]), simulated=False)
     path = tmp_path / "zoom.html"
     path.write_text(page_of(replace(content, front=[replace(content.front[0], picture=picture)])), encoding="utf-8")
     page = browser.open("about:blank", width=1100)
@@ -233,7 +232,7 @@ def test_zoom_holds_a_straight_line_its_name_and_the_ticks(browser, tmp_path):
 
 
 def chart_series(charts):
-    picture = of_charts([charts], "", "", "", Frame([{"a": "1"}]), simulated=False)
+    picture = of_charts([charts], "", "", Frame([{"a": "1"}]), simulated=False)
     return [series for chart in chart_data([(1, picture)])[0]["charts"] for series in chart["series"]]
 
 

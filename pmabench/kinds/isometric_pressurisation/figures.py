@@ -13,9 +13,8 @@ from pmabench.base.quantities import show
 from pmabench.kinds.isometric_pressurisation.braid import ALPHAS, NAMES, Section
 from pmabench.kinds.isometric_pressurisation.curve import REST, Cell, pulling
 from pmabench.kinds.isometric_pressurisation.sections import Across
-from pmabench.plotting.chart import Chart, Series
-from pmabench.plotting.looks import BLUE
-from pmabench.plotting.pictures import Picture, column, has, numbers, of_charts, unit_of
+from pmabench.plotting.chart import BLUE, Chart, Series
+from pmabench.plotting.pictures import Picture, column, has, of_traces, unit_of
 from pmabench.plotting.wording import shown
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Trace
 
@@ -194,10 +193,10 @@ COLUMNS = ("contraction", "slope", "half", "curve", "low", "high")
 
 def sections(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     """One figure for each trace: slopes and the curve."""
-    return [_section(trace, analysis.simulated) for trace in traces if has(trace, *COLUMNS)]
+    return [_section(trace, analysis) for trace in traces if has(trace, *COLUMNS)]
 
 
-def _section(trace: Trace, simulated: bool) -> Picture:
+def _section(trace: Trace, analysis: Analysis) -> Picture:
     eps, slope, half, curve, low, high = (column(trace, name) for name in COLUMNS)
     point, line = np.isfinite(slope), np.isfinite(curve)
     band = np.where(np.isfinite(high - low), 0.5 * (high - low), 0.0)
@@ -213,13 +212,8 @@ def _section(trace: Trace, simulated: bool) -> Picture:
         f"− 1 / sin² θ0] of paper 3 through them, with its 95 % band ({fitted}). The curve may be known well where its "
         "parameters are not."
     )
-    alt = (
-        f"{labels[1]} over {labels[0]}: {int(point.sum())} slopes from {slope[point].max():.4g} down to "
-        f"{slope[point].min():.4g}, and a curve through them with a band."
-    )
-    chart = Chart(*labels, (fitted_line, points), alt=alt)
-    title, table = "Force by pressure, S, over contraction", numbers([("", trace)])
-    return of_charts([[chart]], title, caption, alt, table, simulated=simulated)
+    charts = [[Chart(*labels, (fitted_line, points))]]
+    return of_traces(charts, "Force by pressure, S, over contraction", caption, analysis, [trace])
 
 
 def volumes(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
@@ -229,9 +223,6 @@ def volumes(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
         x, V, half = (column(trace, name) for name in ("contraction", "volume", "half"))
         labels = (unit_of(trace, "contraction").label("contraction x"), unit_of(trace, "volume").label("V"))
         caption = "Volumes from the mass of air that a slow ramp of pressure lets in, with their 95 % intervals."
-        alt = f"{labels[1]} over {labels[0]}: {len(V)} volumes from {V.min():.4g} to {V.max():.4g}."
-        points = Series("", x, V, BLUE, "o", half)
-        chart = Chart(*labels, (points,), alt=alt)
-        title, table = "Volume by mass flow", numbers([("", trace)])
-        found.append(of_charts([[chart]], title, caption, alt, table, simulated=analysis.simulated))
+        chart = Chart(*labels, (Series("", x, V, BLUE, "o", half),))
+        found.append(of_traces([[chart]], "Volume by mass flow", caption, analysis, [trace]))
     return found

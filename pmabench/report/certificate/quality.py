@@ -18,7 +18,7 @@ from math import pi
 import numpy as np
 
 from pmabench.analysis.verdict.checks import checks_of
-from pmabench.plotting.looks import BLUE, BROWN, DARK, GREEN, QUIET
+from pmabench.plotting.chart import BLUE, BROWN, DARK, GREEN, QUIET
 from pmabench.plotting.pictures import column, has, unit_of, usable
 from pmabench.plotting.wording import (
     POINTS,
