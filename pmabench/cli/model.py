@@ -318,7 +318,7 @@ def eval_rows(
 
 def _inputs(model: Model, table: Table, given: Mapping[str, Any]) -> tuple[dict[str, Any], list[Any]]:
     """Inputs by name [SI], single or of each row, and columns of all that the table has, as the model reads them."""
-    from pmabench.cli.model_inputs import columns_of
+    from pmabench.cli.model_measured import columns_of
     from pmabench.files.table import numbers
 
     found, unused = columns_of(model, table)

@@ -21,7 +21,7 @@ from pmabench.report.terminal import print_grid
 
 if TYPE_CHECKING:
     from pmabench.analysis.model_fit import ModelFit
-    from pmabench.cli.model_inputs import Measured
+    from pmabench.cli.model_measured import Measured
     from pmabench.model.library import Model, Parameter
     from pmabench.model.library.description import Output
 
@@ -66,7 +66,7 @@ def fit(
     Columns are inputs and one output of the model, by name or symbol; other inputs are given with --set or stay at
     their reference values. Exit code 6 where the fit did not converge.
     """
-    from pmabench.cli.model_inputs import read_measured
+    from pmabench.cli.model_measured import read_measured
 
     if plot is not None and plot.suffix.lower() != ".svg":
         raise UsageError(f"--plot {plot}: an SVG is drawn; give a name that ends in .svg")
