@@ -179,7 +179,7 @@ def _bench_and_day(manifest: Mapping[str, Any]) -> str:
 def _calibrations(run: Path) -> Iterator[tuple[str, str]]:
     """Scale and calibration of each channel, as the bench or the map of an import gives them, and the session.
 
-    A run without a session, and an import without a day, counts as a session of its own.
+    A run without a session, and an import without a day, counts as a session that no other run shares.
     """
     from pmabench.analysis.shared.trials import session_in
     from pmabench.analysis.verdict.comparison import SESSION

@@ -264,8 +264,8 @@ def _growth(growth: Trace) -> Chart:
     return Chart(*labels, tuple(series), title="Growth", levels=tuple(levels))
 
 
-PANELS = 9
-"""Most panels."""
+PANELS, FEW = 9, 40
+"""Most panels, and marks of a group."""
 
 
 def isometric(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
@@ -281,7 +281,7 @@ def isometric(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
         head(t) if x is None else f"x = {x / length.scale:.3g} {length.unit}" for t, x in zip(chosen, at, strict=True)
     ]
     caption = (
-        f"Samples of every test{' (blue: filling, brown: emptying)' if by_branch else ''} at set contractions, "
+        f"Samples of every test at set contractions{' (blue dots: filling, brown triangles: emptying)' * by_branch}, "
         "and the least-squares line through them where it was fitted."
     )
     theirs = crosses(chosen, "pressure", "force")
@@ -292,13 +292,17 @@ def isometric(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
 
 
 def _scattered(trace: Trace, title: str, theirs: Sequence[Series], group: str) -> Chart:
-    """Samples of force over pressure, coloured by a column, with the fitted line as far as there are such forces."""
+    """Samples of force over pressure by a column, with the fitted line as far as there are such forces.
+
+    The first group as dots, others as some of their samples in another shape.
+    """
     x, y = column(trace, "pressure"), column(trace, "force")
     member = column(trace, group) if has(trace, group) else np.zeros(len(x))
-    series = [
-        Series("", x[member == one], y[member == one], PALETTE[n % len(PALETTE)], ".")
-        for n, one in enumerate(np.unique(member))
-    ]
+    series = []
+    for n, one in enumerate(np.unique(member)):
+        rows = np.flatnonzero(member == one)
+        rows, mark = (rows, ".") if n == 0 else (rows[:: -(-len(rows) // FEW)], "vsD<^"[(n - 1) % 5])
+        series.append(Series("", x[rows], y[rows], PALETTE[n % len(PALETTE)], mark, hollow=n > 0))
     fit = column(trace, "fit") if has(trace, "fit") else np.full(len(x), np.nan)
     known = np.flatnonzero(np.isfinite(x) & (fit >= np.nanmin(y)) & (fit <= np.nanmax(y)))
     if len(known):

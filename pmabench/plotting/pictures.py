@@ -152,7 +152,7 @@ def curve(trace: Trace, x: str, y: str, name: str, color: str, mark: str = "", *
 
 
 def crosses(traces: Sequence[Trace], x: str, y: str) -> list[list[Series]]:
-    """Published points of y over x of each trace, each table with a cross of its own."""
+    """Published points of y over x of each trace, a kind of cross for each table."""
     found = [[(clean(b.label, 60), b.columns) for b in t.published if {x, y} <= set(b.columns)] for t in traces]
     names = list(dict.fromkeys(name for theirs in found for name, _ in theirs))
     return [
