@@ -85,7 +85,7 @@ def command(
 
 
 def _curves_beyond(curves: Sequence[Published], limit: float) -> Iterator[str]:
-    """A sentence for each curve that is further from its published points, in the mean of the sizes."""
+    """A sentence for each curve whose mean distance from its published points is above `limit`, or not known."""
     for one in curves:
         if one.size is None or not one.size <= limit:
             size = "no point of one's own range" if one.size is None else f"mean size {100 * one.size:.2g} %"

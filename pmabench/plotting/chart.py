@@ -194,7 +194,7 @@ def limits(chart: Chart) -> tuple[float, float, float, float]:
 
 
 def _reach(values: Sequence[Array], log: bool) -> tuple[float, float]:
-    """Least and largest of some numbers, apart."""
+    """Range of an axis: least and largest of its numbers, with room about them where they are all the same."""
     every = np.concatenate([*values, np.zeros(0)])
     every = every[np.isfinite(every) & ((every > 0) | (not log))]
     low, high = (float(every.min()), float(every.max())) if len(every) else (0.1, 1.0)

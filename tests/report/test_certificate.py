@@ -270,6 +270,12 @@ def test_how_well_is_the_widest_interval():
     assert how_well([replace(e[0], parts=Parts())], "pressure") == ""
 
 
+def test_an_interval_wider_than_half_its_value_is_said_in_its_unit():
+    """0.01 N ± 0.2 N is not ± 2000 %."""
+    e = samples.estimate("F", 0.01, "m", {"pressure": 1e5}, kind=("N", "force"), parts=Parts(repeats=0.2))
+    assert [quality.sources([replace(e, value=v)], "pressure").bars[0].half for v in (0.01, 10)] == ["0.2 N", "2 %"]
+
+
 def test_the_fastest_motion_is_that_of_the_record():
     """x = 30 mm (1 - exp(-t / 0.25 s)): over its first 20 ms the mean speed is 30 mm (1 - exp(-0.08)) / 20 ms."""
     t = np.arange(0.0, 2.0, 0.002)

@@ -204,7 +204,10 @@ def compare(
     campaign: Campaign, gathered: tuple[Campaign, Mapping[str, Late]], pooled: Pooled, found: Sequence[Estimate],
     options: Mapping[str, Any],
 ) -> Further:  # fmt: skip
-    """The papers' estimates and the dead times; `found` are the primary method's, `gathered` as of `bandwidth`."""
+    """The papers' estimates and the dead times, next to those of the primary method (`found`).
+
+    `gathered` is what `bandwidth.gathered` returns.
+    """
     primary, moved = pooled.fit, set(pooled.segments.trial.tolist())
     seen = {cause.name for cause in pooled.trust.causes if cause.seen} & {GAIN, ZERO, AT_REST.format("displacement")}
     seen |= {CORRECTED for one in pooled.diagnosis.of_cell if one.key == "gain"}

@@ -157,7 +157,7 @@ def _what(name: str) -> str:
 
 
 def _zip(folder: Path, path: Path) -> None:
-    """One root folder, entries in order, no time of now."""
+    """Zip a folder under its name: entries in order and without times, so that the same files give the same bytes."""
     with zipfile.ZipFile(path, "w") as file:
         for name, source in files_of(folder):
             entry = zipfile.ZipInfo(f"{folder.name}/{name}", YEAR_0)
