@@ -237,7 +237,7 @@ def test_charts_of_one_x_axis_zoom_to_the_same_x(browser, tmp_path):
     above = Chart("x [mm]", "y [N]", (Series("a", x, 1e4 * x, BLUE),), together="x")
     below = Chart("x [mm]", "z [N]", (Series("longer name", x, x, BROWN),), together="x")
     content = content_of([samples.static_load()], [])
-    picture = of_charts([[above], [below]], "Lines", "", Frame([{"a": "1"}]), simulated=False)
+    picture = of_charts([[above, below]], "Lines", "", Frame([{"a": "1"}]), simulated=False)
     path = tmp_path / "linked.html"
     path.write_text(page_of(replace(content, front=[replace(content.front[0], picture=picture)])), encoding="utf-8")
     page = browser.open("about:blank", width=1100)

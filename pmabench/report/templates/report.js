@@ -294,7 +294,7 @@
         setScale: [function (u, key) {
           var near = 1e-4 * (chart.range[1] - chart.range[0]);
           if (key === "x")
-            moved(u.scales.x.min > chart.range[0] + near || u.scales.x.max < chart.range[1] - near, u.scales.x);
+            moved(u.scales.x.min > chart.range[0] + near || u.scales.x.max < chart.range[1] - near);
         }]
       }
     });
@@ -356,14 +356,7 @@
     });
     entry.charts.forEach(function (chart, i) {
       boxes[i].dataset.key = entry.n + "-";
-      plots.push(plot(chart, boxes[i], on, entry.charts, line, function (zoomed, x) {
-        reset.hidden = !zoomed;
-        if (zoomed && chart.together) plots.forEach(function (u, n) {  // uPlot links pixels, whose x may differ a little
-          var other = u.scales.x;
-          if (n !== i && entry.charts[n].together === chart.together && (other.min !== x.min || other.max !== x.max))
-            u.setScale("x", { min: x.min, max: x.max });
-        });
-      }));
+      plots.push(plot(chart, boxes[i], on, entry.charts, line, function (zoomed) { reset.hidden = !zoomed; }));
       var live = boxes[i].querySelector(".live");
       live.setAttribute("role", "img");
       live.setAttribute("aria-label", chart.alt);
