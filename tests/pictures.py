@@ -21,8 +21,8 @@ from pmabench.display.console import ALONE
 from pmabench.display.state import RunState
 from pmabench.display.view import Extra, screen
 from pmabench.display.web.server import start
-from pmabench.plotting.chart import Chart, Series, joined
-from pmabench.plotting.looks import BLUE, BROWN, FAINT, GREEN
+from pmabench.plotting.chart import BLUE, BROWN, FAINT, GREEN, Chart, Series
+from pmabench.plotting.drawing import joined
 from pmabench.plotting.svg import as_file
 from pmabench.report.document.content import FONT
 from pmabench.store.analyses.folder import read_analysis

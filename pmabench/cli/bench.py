@@ -25,8 +25,7 @@ from pmabench.report.terminal import print_grid, print_texts
 if TYPE_CHECKING:
     from pmabench.bench.interface import ChannelRecord, DeviceRecord, Identity
     from pmabench.session.checks import Check
-    from pmabench.session.guided import Look, Reading, Series
-    from pmabench.session.jog import Jog
+    from pmabench.session.guided import Jog, Look, Reading, Series
 
 
 @click.group(name="bench", cls=Group)
@@ -347,7 +346,7 @@ def set_(
     run of kind setup. It ends by --for or by Ctrl-C, and vents on every way out.
     """
     from pmabench.cli.prepare import mounted_of
-    from pmabench.session.jog import hold_at
+    from pmabench.session.guided import hold_at
 
     seconds = None if lasting is None else _above_zero(lasting, "time", "--for")
     mounted = mounted_of(bench, specimen)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from dataclasses import asdict
 from datetime import date, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -123,7 +124,7 @@ def _run(ui: Ui, mounted: Mounted, request: Request, out: Path, operator: str, *
 
 
 def _write(mounted: Mounted, request: Request, done: Calibrated, into: Path, until: date | None) -> Path:
-    from pmabench.session.calibration import write_calibration
+    from pmabench.session.calibration_line import write_calibration
 
     assert done.fit is not None and done.outcome.folder is not None  # noqa: S101, PT018  (looked at before)
     read = " (not read: nominal values, --yes)" if request.nominal and request.channel != "pressure_command" else ""
@@ -143,14 +144,15 @@ def _write(mounted: Mounted, request: Request, done: Calibrated, into: Path, unt
 
 
 def _show_result(ui: Ui, mounted: Mounted, request: Request, done: Calibrated, path: Path | None) -> None:
-    from pmabench.session.calibration import REGULATOR, as_json, budget, uncovered
+    from pmabench.session.calibration import REGULATOR, uncovered
+    from pmabench.session.calibration_line import budget
 
     quantity = CHANNEL_QUANTITY[request.channel]
     data: dict[str, Any] = {
         "schema": "pmabench.calibrated/1",
         "channel": request.channel,
         "file": str(path) if path is not None else None,
-        "fit": as_json(done.fit) if done.fit is not None else None,
+        "fit": asdict(done.fit) if done.fit is not None else None,
         "warnings": list(done.warnings),
         "outcome": outcome_json(done.outcome),
     }

@@ -75,7 +75,7 @@ def command(
     failed += [text for measure, limit in limits if measure == "difference" for text in _curves_beyond(curves, limit)]
     data = _json(left, right, found, curves, failed)
     if output is not None:
-        from pmabench.report.comparison_page import write_comparison
+        from pmabench.report.other_pages import write_comparison
 
         data["path"] = str(write_comparison(left, right, found, curves, failed, output))
     refusals = [f"NOT ACCEPTED: {clean(text)}" for text in failed]
@@ -85,7 +85,7 @@ def command(
 
 
 def _curves_beyond(curves: Sequence[Published], limit: float) -> Iterator[str]:
-    """A sentence for each curve that is further from its published points, in the mean of the sizes."""
+    """A sentence for each curve whose mean distance from its published points is above `limit`, or not known."""
     for one in curves:
         if one.size is None or not one.size <= limit:
             size = "no point of one's own range" if one.size is None else f"mean size {100 * one.size:.2g} %"
@@ -179,7 +179,7 @@ def _bench_and_day(manifest: Mapping[str, Any]) -> str:
 def _calibrations(run: Path) -> Iterator[tuple[str, str]]:
     """Scale and calibration of each channel, as the bench or the map of an import gives them, and the session.
 
-    A run without a session, and an import without a day, counts as a session of its own.
+    A run without a session, and an import without a day, counts as a session that no other run shares.
     """
     from pmabench.analysis.shared.trials import session_in
     from pmabench.analysis.verdict.comparison import SESSION
@@ -242,7 +242,7 @@ def _print(
     ui: Ui, left: Side, right: Side, found: Comparison, curves: Sequence[Published], last: Sequence[str]
 ) -> None:
     from pmabench.plotting.wording import clean
-    from pmabench.report.comparison_page import curve_rows, rows_of
+    from pmabench.report.other_pages import curve_rows, rows_of
 
     console = ui.console(columns=140)
     for side in (left, right):

@@ -50,7 +50,7 @@ def command(ui: Ui, specimen: str, folder: Path, output: Path | None) -> None:
     title = next(row.specimen for row in rows)
     data = _json(title, life, series, references, remarks)
     if output is not None:
-        from pmabench.report.history_page import write_history
+        from pmabench.report.other_pages import write_history
 
         data["path"] = str(write_history(title, life, series, references, remarks, output))
     ui.result(data, lambda: _print(ui, life, series, remarks, data.get("path")))
@@ -203,7 +203,7 @@ def _print(
     ui: Ui, life: Sequence[Past], series: Sequence[Series], remarks: Sequence[Finding], path: str | None
 ) -> None:
     from pmabench.plotting.wording import clean
-    from pmabench.report.history_page import run_rows, value_rows
+    from pmabench.report.other_pages import run_rows, value_rows
 
     console = ui.console(columns=160)
     if any(past.simulated for past in life):

@@ -23,8 +23,7 @@ if TYPE_CHECKING:
     from pmabench.bench.compile import Mounted
     from pmabench.bench.interface import CompiledBench
     from pmabench.display.channel import Page
-    from pmabench.session.guided import Series
-    from pmabench.session.jog import Jog
+    from pmabench.session.guided import Jog, Series
 
 PERIOD = 0.25
 """A picture at most so often [s]."""
@@ -79,7 +78,7 @@ def _monitor(ui: Ui, bench: CompiledBench, seconds: float | None, *, plain: bool
 
 
 def _jog(ui: Ui, mounted: Mounted, out: Path, operator: str, seconds: float | None) -> int:
-    from pmabench.session.jog import BLOCK, jog, keys_of
+    from pmabench.session.guided import BLOCK, jog, keys_of
 
     live = _Live(mounted.bench, simulated=False)
     live.page.title = f"jog: {mounted.bench.name}"

@@ -64,7 +64,7 @@ def command(
     from pmabench.cli.sources import campaign_folder, load_runs, without_analyses
     from pmabench.kinds.reduce import reduce_runs
     from pmabench.kinds.registry import loops
-    from pmabench.report.comparison_page import print_changes
+    from pmabench.report.other_pages import print_changes
     from pmabench.store.chain import open_chains
     from pmabench.store.reader import refuse_loops
 

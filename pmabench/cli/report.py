@@ -118,11 +118,11 @@ def _written(
     page = replace(page, text=page_of(content, long=long))
     written = {"path": str(write_file(output, page.text, "the report"))}
     if pdf is not None:
-        from pmabench.report.document.pdf import write_pdf
+        from pmabench.report.document.formats import write_pdf
 
         written["pdf"] = str(write_pdf(content, pdf))
     if xlsx is not None:
-        from pmabench.report.document.workbook import write_workbook
+        from pmabench.report.document.formats import write_workbook
 
         written["xlsx"] = str(write_workbook(content, analyses, xlsx))
     return content, written, page

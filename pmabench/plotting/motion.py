@@ -12,8 +12,23 @@ from math import pi
 
 import numpy as np
 
-from pmabench.plotting.chart import GAP, PAGE, Array, Chart, Level, Series, closed, small_multiples
-from pmabench.plotting.looks import BLUE, BROWN, FAINT, INK, MARKS, PALETTE, QUIET
+from pmabench.plotting.chart import (
+    BLUE,
+    BROWN,
+    FAINT,
+    GAP,
+    INK,
+    MARKS,
+    PAGE,
+    PALETTE,
+    QUIET,
+    Array,
+    Chart,
+    Level,
+    Series,
+    closed,
+    small_multiples,
+)
 from pmabench.plotting.pictures import (
     Picture,
     column,
@@ -21,10 +36,8 @@ from pmabench.plotting.pictures import (
     curve,
     has,
     head,
-    how_many,
     label,
-    numbers,
-    of_charts,
+    of_traces,
     reach,
     spread,
     unit_of,
@@ -57,22 +70,14 @@ def overlays(
     if not able:
         return []
     chosen = spread(able, most)
-    unit, titles = unit_of(chosen[0], "displacement").unit, [head(t) for t in chosen]
+    unit = unit_of(chosen[0], "displacement").unit
     misfits = [_rms(column(t, "displacement") - column(t, "model")) for t in chosen]
-    worst = int(np.argmax(misfits))
-    title += f", {titles[0]}" if len(chosen) == 1 else ""
+    title += f", {head(chosen[0])}" if len(chosen) == 1 else ""
     caption = f"Measured, and {model}. Below: their difference, rms {reach(misfits)} {unit}.{also}"
-    caption += how_many(chosen, able)
     if any(not np.isfinite(column(t, "model")).all() for t in chosen):
         caption += " The model ends where the muscle moves at a pressure at which a coefficient is open."
-    alt = (
-        f"Contraction over time, measured, and {model}, in {len(chosen)} panel{'s' if len(chosen) > 1 else ''}: "
-        f"{'; '.join(titles)}. Root mean square difference {reach(misfits)} {unit}"
-        + (f", largest at {titles[worst]}." if len(chosen) > 1 else ".")
-    )
-    table = numbers(list(zip(titles, chosen, strict=True)), columns)
     rows = small_multiples([_overlaid(t) for t in chosen], 3, common="")
-    return [of_charts(rows, title, caption, alt, table, simulated=analysis.simulated)]
+    return [of_traces(rows, title, caption, analysis, chosen, able, columns)]
 
 
 def _overlaid(trace: Trace) -> tuple[Chart, Chart]:
@@ -117,17 +122,14 @@ def loops(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
         if width := [t.marks["width"] for t in chosen if "width" in t.marks]:
             unit = shown("force")
             caption += f" Width at mid stroke {reach([w / unit.scale for w in width])} {unit.unit}."
-        alt = f"{labels[1]} over {labels[0]} as closed loops at {', '.join(titles)}"
-        alt += f", {where}." if where else "."
-        alt += " Loops grow wider as the frequency rises where damping acts." if len(chosen) > 1 else ""
-        table, charts = numbers(list(zip(titles, chosen, strict=True))), []
+        charts = []
         said = len(titles) == 1 and "frequency" not in chosen[0].marks  # in the title of the figure
         for trace, head_of, theirs in zip(chosen, titles, crosses(chosen, first, second), strict=True):
             lines = [closed(curve(trace, first, second, "measured", FAINT, width=3.0))]
             lines += [closed(curve(trace, first, "model", "model", BROWN))] if modelled else []
             charts.append(Chart(*labels, (*lines, *theirs), title="" if said else head_of, legend=True))
         rows = small_multiples(charts, 4)
-        found.append(of_charts(rows, title, caption, alt, table, simulated=analysis.simulated))
+        found.append(of_traces(rows, title, caption, analysis, chosen, titles=titles))
     return found
 
 
@@ -171,14 +173,11 @@ def bode(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
         "Left: stiffness K = −Re(F/x). Middle: loss per speed, −Im(F/x)/ω, which tends to B where viscous damping "
         "rules and rises at low frequency where Coulomb friction does. Right: phase of force before displacement. "
     ) + ("Lines: the fitted K, B and F_c." if fitted else "No line is known.")
-    alt = f"Stiffness, loss per speed and phase over frequency for {'; '.join(titles)}."
     names = ("frequency", "stiffness", "loss", "speed", "phase", "width")
-    table = numbers(list(zip(titles, able, strict=True)), names)
-    title = "Stiffness, damping and phase over frequency"
     labels = stiffness.label("K"), damping.label("loss per speed"), "phase [deg]"
     charts = [_over_frequency(y_label, mine) for y_label, mine in zip(labels, series.values(), strict=True)]
-    rows = small_multiples(charts, 3, common="", width=PAGE)
-    return [of_charts(rows, title, caption, alt, table, simulated=analysis.simulated)]
+    rows, title = small_multiples(charts, 3, common="", width=PAGE), "Stiffness, damping and phase over frequency"
+    return [of_traces(rows, title, caption, analysis, able, columns=names, titles=titles)]
 
 
 def _over_frequency(y_label: str, series: Sequence[Series]) -> Chart:
@@ -216,7 +215,6 @@ def oscillations(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
         pairs.setdefault(trace.name.partition("-")[2], [None, None])[place] = trace
     rows: list[list[Chart | None]] = []
     named: list[tuple[str, Trace]] = []
-    gains = []
     for swing, growth in list(pairs.values())[:ROWS]:
         left = right = None
         if swing is not None and has(swing, "t", "displacement"):
@@ -226,22 +224,20 @@ def oscillations(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
             named.append((f"growth, {_setpoint(growth)}", growth))
             if has(growth, "gain", "log_ratio", "used"):
                 right = _growth(growth)
-                gains += [level.name for level in right.levels if level.name]
         rows.append([left, right])
     if not any(map(any, rows)):
         return []
     caption = "Left: contraction at the gain levels around K_u; dashed, the set-point. Right: growth. " + _GROWTH
     if len(pairs) > ROWS:
         caption += f" {ROWS} of {len(pairs)} operating points are shown."
-    alt = f"Oscillation over time, and growth per half period over gain, for {len(rows)} set-points."
-    alt += f" {'; '.join(gains)}."
     title = "Sustained oscillation and ultimate gain" + (f", {_setpoint(named[0][1])}" if len(rows) == 1 else "")
     columns = []
     for place, width in enumerate((WIDER, PAGE - GAP - WIDER)):
         known = [one for row in rows if (one := row[place])]
         columns.append(iter(small_multiples(known, 1, common="", width=width) if known else []))
     found = [[next(of)[0] for one, of in zip(row, columns, strict=True) if one] for row in rows if any(row)]
-    return [of_charts(found, title, caption, alt, numbers(named), simulated=analysis.simulated)]
+    names, shown_traces = zip(*named, strict=True)
+    return [of_traces(found, title, caption, analysis, shown_traces, titles=names)]
 
 
 def _swings(swing: Trace) -> Chart:
@@ -268,8 +264,8 @@ def _growth(growth: Trace) -> Chart:
     return Chart(*labels, tuple(series), title="Growth", levels=tuple(levels))
 
 
-PANELS = 9
-"""Most panels."""
+PANELS, FEW = 9, 40
+"""Most panels, and marks of a group."""
 
 
 def isometric(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
@@ -285,26 +281,28 @@ def isometric(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
         head(t) if x is None else f"x = {x / length.scale:.3g} {length.unit}" for t, x in zip(chosen, at, strict=True)
     ]
     caption = (
-        f"Samples of every test{' (blue: filling, brown: emptying)' if by_branch else ''} at set contractions, "
-        f"and the least-squares line through them where it was fitted.{how_many(chosen, able)}"
+        f"Samples of every test at set contractions{' (blue dots: filling, brown triangles: emptying)' * by_branch}, "
+        "and the least-squares line through them where it was fitted."
     )
-    alt = f"Force over pressure at fixed contraction, with a straight line, for {'; '.join(titles)}."
-    table = numbers(list(zip(titles, chosen, strict=True)), ("pressure", "force", "fit", "test"))
     theirs = crosses(chosen, "pressure", "force")
     group = "branch" if by_branch else "test"
     rows = small_multiples([_scattered(*one, group) for one in zip(chosen, titles, theirs, strict=True)], 3)
     title = "Isometric force over pressure" + (f", {titles[0]}" if len(chosen) == 1 else "")
-    return [of_charts(rows, title, caption, alt, table, simulated=analysis.simulated)]
+    return [of_traces(rows, title, caption, analysis, chosen, able, ("pressure", "force", "fit", "test"), titles)]
 
 
 def _scattered(trace: Trace, title: str, theirs: Sequence[Series], group: str) -> Chart:
-    """Samples of force over pressure, coloured by a column, with the fitted line as far as there are such forces."""
+    """Samples of force over pressure by a column, with the fitted line as far as there are such forces.
+
+    The first group as dots, others as some of their samples in another shape.
+    """
     x, y = column(trace, "pressure"), column(trace, "force")
     member = column(trace, group) if has(trace, group) else np.zeros(len(x))
-    series = [
-        Series("", x[member == one], y[member == one], PALETTE[n % len(PALETTE)], ".")
-        for n, one in enumerate(np.unique(member))
-    ]
+    series = []
+    for n, one in enumerate(np.unique(member)):
+        rows = np.flatnonzero(member == one)
+        rows, mark = (rows, ".") if n == 0 else (rows[:: -(-len(rows) // FEW)], "vsD<^"[(n - 1) % 5])
+        series.append(Series("", x[rows], y[rows], PALETTE[n % len(PALETTE)], mark, hollow=n > 0))
     fit = column(trace, "fit") if has(trace, "fit") else np.full(len(x), np.nan)
     known = np.flatnonzero(np.isfinite(x) & (fit >= np.nanmin(y)) & (fit <= np.nanmax(y)))
     if len(known):

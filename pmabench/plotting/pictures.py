@@ -13,8 +13,8 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.plotting.chart import COLUMN, Array, Chart, Series, joined, stamped
-from pmabench.plotting.looks import CROSSES, INK
+from pmabench.plotting.chart import COLUMN, CROSSES, INK, Array, Chart, Series, in_words, stamped
+from pmabench.plotting.drawing import joined
 from pmabench.plotting.wording import COLUMNS, Frame, Shown, clean, shown
 from pmabench.store.analyses.results import Analysis, Estimate, Trace
 
@@ -33,9 +33,7 @@ class Picture:
 
     title: str
     caption: str
-    alt: str
     table: Frame
-    simulated: bool
     rows: tuple[tuple[Chart, ...], ...]
     """The charts it consists of: the page of a report draws them again, with zoom."""
 
@@ -66,18 +64,29 @@ class Picture:
             return "column"
         return "across" if len(self.rows) == 1 and all(chart.y_named for chart in self.charts) else "grid"
 
+    @property
+    def alt(self) -> str:
+        """The same in words."""
+        return f"{self.title}. {in_words(self.charts)}"
+
     @cached_property
     def svg(self) -> str:
         """The drawing, as an SVG element."""
         return joined(self.rows, self.alt)
 
 
-def of_charts(
-    rows: Sequence[Sequence[Chart]], title: str, caption: str, alt: str, table: Frame, *, simulated: bool
-) -> Picture:
+def of_charts(rows: Sequence[Sequence[Chart]], title: str, caption: str, table: Frame, *, simulated: bool) -> Picture:
     """A picture of charts in rows, with a stamp in its corner if simulated."""
-    drawn = tuple(tuple(row) for row in (stamped(rows) if simulated else rows))
-    return Picture(title, caption, alt, table, simulated, drawn)
+    return Picture(title, caption, table, tuple(map(tuple, stamped(rows) if simulated else rows)))
+
+
+def of_traces(
+    rows: Sequence[Sequence[Chart]], title: str, caption: str, analysis: Analysis, chosen: Sequence[Trace],
+    able: Sequence[object] = (), columns: Sequence[str] = (), titles: Sequence[str] = (),
+) -> Picture:  # fmt: skip
+    """A picture of the `chosen` ones of the traces that are `able`, with their numbers in `columns` (else all)."""
+    more = f" {len(chosen)} of {len(able)} are shown." if len(chosen) < len(able) else ""
+    return of_charts(rows, title, caption + more, numbers(chosen, columns, titles), simulated=analysis.simulated)
 
 
 def drawable(analysis: Analysis) -> Analysis:
@@ -143,7 +152,7 @@ def curve(trace: Trace, x: str, y: str, name: str, color: str, mark: str = "", *
 
 
 def crosses(traces: Sequence[Trace], x: str, y: str) -> list[list[Series]]:
-    """Published points of y over x of each trace, each table with a cross of its own."""
+    """Published points of y over x of each trace, a kind of cross for each table."""
     found = [[(clean(b.label, 60), b.columns) for b in t.published if {x, y} <= set(b.columns)] for t in traces]
     names = list(dict.fromkeys(name for theirs in found for name, _ in theirs))
     return [
@@ -155,10 +164,10 @@ def crosses(traces: Sequence[Trace], x: str, y: str) -> list[list[Series]]:
     ]
 
 
-def numbers(traces: Sequence[tuple[str, Trace]], wanted: Sequence[str] = ()) -> Frame:
-    """The numbers of traces as text, evenly thinned, with the panel's title in the first column."""
+def numbers(traces: Sequence[Trace], wanted: Sequence[str] = (), titles: Sequence[str] = ()) -> Frame:
+    """The numbers of traces as text, evenly thinned; of several with the title of each (its `head`) first."""
     cells: list[dict[str, str]] = []
-    for title, trace in traces:
+    for title, trace in zip(titles or map(head, traces), traces, strict=True):
         names = [name for name in (wanted or tuple(trace.columns)) if name in trace.columns]
         length = len(trace.columns[names[0]]) if names else 0
         rows = np.unique(np.linspace(0, length - 1, min(length, TABLE_ROWS)).astype(int))
@@ -193,11 +202,6 @@ def has(trace: Trace, *names: str) -> bool:
 def head(trace: Trace) -> str:
     """Title of a panel: that of the trace up to its colon."""
     return clean(trace.title.partition(":")[0], 60)
-
-
-def how_many(chosen: Sequence[object], able: Sequence[object]) -> str:
-    """A sentence if not all are shown; else empty."""
-    return f" {len(chosen)} of {len(able)} are shown." if len(chosen) < len(able) else ""
 
 
 def reach(values: Sequence[float]) -> str:

@@ -72,6 +72,7 @@ COLUMNS: dict[str, str] = {
     "low": "lower end of the band",
     "high": "upper end of the band",
     "branch": "0 filling, 1 emptying",
+    **{f"pressure_{n}": f"pressure of muscle {n}" for n in (1, 2, 3)},
     "length": "length",
     "angle": "angle",
     "below": "reached from below",

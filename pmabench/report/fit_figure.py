@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from pmabench.analysis.model_fit import ModelFit
 from pmabench.model.library import OutsideDomain
-from pmabench.plotting.chart import Chart, Level, Series, joined, small_multiples
-from pmabench.plotting.looks import BLUE, FAINT, MARKS, PALETTE
+from pmabench.plotting.chart import BLUE, FAINT, MARKS, PALETTE, Chart, Level, Series, small_multiples
+from pmabench.plotting.drawing import joined
 from pmabench.plotting.svg import as_file
 from pmabench.plotting.wording import Shown, clean, number, shown
 from pmabench.report.writing import write_file

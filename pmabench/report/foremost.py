@@ -154,7 +154,7 @@ def how_well(members: Sequence[Estimate], over: str) -> str:
     for e in members:
         if e.value and e.parts.combined is not None:
             by_symbol.setdefault(symbol_text(e.symbol), []).append(e)
-    widest = {name: _widest(same) for name, same in by_symbol.items()}
+    widest = {name: widest_half(same) for name, same in by_symbol.items()}
     if not widest:
         return ""
     unit = point_shown(over)[1]
@@ -163,7 +163,7 @@ def how_well(members: Sequence[Estimate], over: str) -> str:
     return f"{known} from {number(min(places))} to {number(max(places))} {unit.unit}".rstrip()
 
 
-def _widest(same: Sequence[Estimate]) -> str:
+def widest_half(same: Sequence[Estimate]) -> str:
     """The widest half width of estimates of one symbol: as a share of its value, or where that is near 0 as it is."""
     halves = [(e.parts.combined or 0.0, abs(e.value or 0.0)) for e in same]
     if all(half < NEAR_0 * value for half, value in halves):

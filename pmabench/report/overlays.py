@@ -15,8 +15,8 @@ from pmabench.base.errors import InvalidFile, Problem
 from pmabench.base.quantities import QUANTITIES
 from pmabench.kinds import registry
 from pmabench.plotting.wording import Frame, clean, number, point_shown, rounded, shown
-from pmabench.report.coefficient_figures import OVER_PRESSURE
 from pmabench.report.document.provenance import get
+from pmabench.report.figures import OVER_PRESSURE
 from pmabench.store.analyses.results import PUBLISHED, Analysis, Estimate, PublishedPoints, Trace
 from pmabench.store.records import Array, RunData
 

@@ -15,7 +15,7 @@ from pmabench.base.errors import UsageError
 from pmabench.cli.report import read_overlays
 from pmabench.kinds.contraction_relaxation import reduction as contraction
 from pmabench.kinds.contraction_relaxation.segments import gather
-from pmabench.report.comparison_page import rows_of
+from pmabench.report.other_pages import rows_of
 from pmabench.report.overlays import with_published
 from pmabench.store.analyses.results import PUBLISHED, Analysis, Estimate, Parts, Source
 from tests.analysis.coverage_study import CHANNELS, campaign

@@ -22,8 +22,7 @@ from pmabench.model import cascade
 from pmabench.model.cascade import PrintedMuscle, Step, simulate
 from pmabench.model.muscle import quadratic
 from pmabench.protocol.cascade import read_cascade
-from pmabench.report.cascade_drawing import Scene, moments_of, snapshots
-from pmabench.report.cascade_page import frame_rows
+from pmabench.report.cascade_page import Scene, frame_rows, moments_of, snapshots
 from pmabench.report.cascade_record import Result, read_result
 from tests import calls
 

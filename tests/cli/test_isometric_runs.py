@@ -66,7 +66,7 @@ def test_the_muscle_of_paper_0_gives_its_dead_band_force_and_stiffness(tmp_path,
         call("report", run, "-o", report)
         text = report.read_text()
         assert "Force by pressure, S, over contraction" in text
-        assert "blue: filling, brown: emptying" in text
+        assert "blue dots: filling, brown triangles: emptying" in text
         with next((tmp_path / "analyses").rglob("estimates.csv")).open(newline="") as file:
             assert {row["symbol"] for row in csv.DictReader(file)} >= {"m", "c", "H", "p_0", "F_ce", "K"}
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pmabench.plotting import chart, looks
+from pmabench.plotting import chart, drawing
 from pmabench.plotting.chart import Chart, Series
 from pmabench.report.certificate import quality
 from pmabench.report.certificate.force_chart import READABLE, blue
@@ -69,13 +69,13 @@ def test_the_measures_of_colour_are_right():
     assert lab("#ff0000", "normal") == pytest.approx([53.24, 80.09, 67.20], abs=0.1)
 
 
-@pytest.mark.parametrize("pair", list(itertools.combinations(looks.PALETTE, 2)))
+@pytest.mark.parametrize("pair", list(itertools.combinations(chart.PALETTE, 2)))
 def test_two_series_are_distinguished_by_everybody(pair):
     for sight in SIGHT:
         assert math.dist(*(lab(color, sight) for color in pair)) >= 30
 
 
-@pytest.mark.parametrize("color", [*looks.PALETTE])
+@pytest.mark.parametrize("color", [*chart.PALETTE])
 def test_series_are_seen_on_paper(color):
     assert contrast(color) >= 2.99
 
@@ -270,6 +270,12 @@ def test_how_well_is_the_widest_interval():
     assert how_well([replace(e[0], parts=Parts())], "pressure") == ""
 
 
+def test_an_interval_wider_than_half_its_value_is_said_in_its_unit():
+    """0.01 N ± 0.2 N is not ± 2000 %."""
+    e = samples.estimate("F", 0.01, "m", {"pressure": 1e5}, kind=("N", "force"), parts=Parts(repeats=0.2))
+    assert [quality.sources([replace(e, value=v)], "pressure").bars[0].half for v in (0.01, 10)] == ["0.2 N", "2 %"]
+
+
 def test_the_fastest_motion_is_that_of_the_record():
     """x = 30 mm (1 - exp(-t / 0.25 s)): over its first 20 ms the mean speed is 30 mm (1 - exp(-0.08)) / 20 ms."""
     t = np.arange(0.0, 2.0, 0.002)
@@ -302,14 +308,14 @@ def test_ticks_have_the_decimals_of_their_step(value, step, text):
 def test_names_at_curves_do_not_lie_on_each_other():
     x = np.linspace(0, 1, 20)
     lines = tuple(Series(f"name {n}", x, x + 0.001 * n, "#0b5394") for n in range(6))
-    drawn = chart.joined([[Chart("x", "y", lines, 300, 150)]], "six lines")
+    drawn = drawing.joined([[Chart("x", "y", lines, 300, 150)]], "six lines")
     places = sorted(float(y) for y in re.findall(r'y="([\d.]+)"[^>]*>name \d', drawn))
     assert len(places) == 6
     assert min(np.diff(places)) >= chart.NAME
 
 
 def test_a_chart_has_no_style_and_says_what_it_shows():
-    drawn = chart.joined(
+    drawn = drawing.joined(
         [[Chart("x", "y", (Series("a", np.arange(3.0), np.arange(3.0), "#0b5394"),), 300, 150)]], "a line"
     )
     assert " style=" not in drawn

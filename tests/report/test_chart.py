@@ -5,21 +5,8 @@ import re
 import numpy as np
 import pytest
 
-from pmabench.plotting.chart import (
-    STATIC,
-    Chart,
-    Level,
-    Series,
-    closed,
-    joined,
-    level_names,
-    limits,
-    needed,
-    pieces,
-    rows_needed,
-    small_multiples,
-)
-from pmabench.plotting.looks import BLUE, CROSSES, MARKS, SHAPES
+from pmabench.plotting.chart import BLUE, CROSSES, MARKS, SHAPES, Chart, Level, Series, closed, limits, small_multiples
+from pmabench.plotting.drawing import STATIC, joined, level_names, needed, pieces, rows_needed
 from pmabench.plotting.pictures import of_charts
 from pmabench.plotting.wording import Frame
 from pmabench.report.certificate.interactive import chart_data
@@ -79,7 +66,7 @@ def test_a_name_is_at_a_point_that_has_both_coordinates():
 
 
 def test_the_longest_row_says_how_wide_a_picture_is():
-    picture = of_charts([[line(T)], [line(T), line(T)]], "", "", "", Frame([{"a": "1"}]), simulated=False)
+    picture = of_charts([[line(T)], [line(T), line(T)]], "", "", Frame([{"a": "1"}]), simulated=False)
     assert picture.wide
     assert picture.layout == "grid"
     assert len(chart_data([(1, picture)])[0]["widths"]) == 2

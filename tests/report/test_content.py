@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pmabench.plotting import pictures
-from pmabench.report import coefficient_figures
+from pmabench.report import figures
 from pmabench.report.document.content import content_of
 from pmabench.report.document.deviations import Issuer, deviations
 from pmabench.report.document.special_tables import budget_table, change_rows
@@ -131,7 +131,7 @@ def test_values_below_resolution_are_not_drawn_and_small_ones_have_no_exponent_a
     def drawn(size):
         at = [{"pressure": 1e5 * n} for n in (1, 2, 3)]
         estimates = tuple(Estimate("F_c", size * n, "N", "force", "m", p) for n, p in enumerate(at, 1))
-        return coefficient_figures.others(Analysis("x", ("r",), False, estimates))
+        return figures.others(Analysis("x", ("r",), False, estimates))
 
     assert drawn(1e-14) == []
     (picture,) = drawn(2e-6)
@@ -154,11 +154,11 @@ def test_each_further_method_lies_aside_by_its_place_and_published_values_are_ne
         drawn.extend(rows[0])
         return pictures.of_charts(rows, *args, **more)
 
-    monkeypatch.setattr(coefficient_figures, "of_charts", kept)
-    (picture,) = coefficient_figures.over_pressure([mine, theirs], {}, ("m0", "m1"))
+    monkeypatch.setattr(figures, "of_charts", kept)
+    (picture,) = figures.over_pressure([mine, theirs], {}, ("m0", "m1"))
     (chart,) = drawn
     first = [float(s.x[0]) for s in chart.series if s.mark == "o"]
-    assert first == pytest.approx([100.0 + 200.0 * coefficient_figures.ASIDE * n for n in range(8)])
+    assert first == pytest.approx([100.0 + 200.0 * figures.ASIDE * n for n in range(8)])
     assert [(s.mark, float(s.x[0])) for s in chart.series][8:] == [("x", 100.0)]
     assert "Crosses: Serres 2009" in picture.caption
 
@@ -168,7 +168,7 @@ def test_labels_of_long_numbers_are_not_cut():
     estimates = tuple(
         Estimate("F_c", 90_000.0 + 0.01 * n, "N", "force", "m", p, Parts(1e-3)) for n, p in enumerate(long, 1)
     )
-    (picture,) = coefficient_figures.others(Analysis("x", ("r",), False, estimates))
+    (picture,) = figures.others(Analysis("x", ("r",), False, estimates))
     ticks = re.findall(r'<text x="([\d.]+)" y="[\d.]+" text-anchor="end"[^>]*>([^<]+)', picture.svg)
     assert len({text for _, text in ticks}) == len(ticks) > 2
     assert all(float(end) > 0.5 * 7.4 * len(text) for end, text in ticks), "a digit is as wide as half its height"

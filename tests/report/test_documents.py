@@ -14,8 +14,7 @@ import pytest
 from pmabench.base.errors import UsageError
 from pmabench.report.document.content import content_of, page_of, write_figures
 from pmabench.report.document.deviations import Said
-from pmabench.report.document.pdf import pdf_bytes, write_pdf
-from pmabench.report.document.workbook import workbook_bytes, write_workbook
+from pmabench.report.document.formats import pdf_bytes, workbook_bytes, write_pdf, write_workbook
 from pmabench.store.analyses.results import Parts, Source
 
 from . import samples
@@ -71,7 +70,7 @@ def test_figures_as_files_of_their_own_are_whole_and_at_their_size_in_print(cont
         assert root.tag == "{http://www.w3.org/2000/svg}svg"
         assert 72 < float(root.get("width").removesuffix("pt")) <= 7.3 * 72
         assert not [value for one in root.iter() for key, value in one.items() if "href" in key and value[0] != "#"]
-        assert not picture.simulated or "SIMULATED" in "".join(root.itertext())
+        assert "SIMULATED" in "".join(root.itertext())
         assert f"{path.name}\n  Figure {number}: {picture.title}" in captions
 
 

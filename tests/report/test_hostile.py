@@ -18,8 +18,7 @@ from pmabench.notebook import Results
 from pmabench.plotting.wording import clean
 from pmabench.report.document.content import content_of, page_of
 from pmabench.report.document.deviations import Issuer
-from pmabench.report.document.pdf import pdf_bytes
-from pmabench.report.document.workbook import workbook_bytes
+from pmabench.report.document.formats import pdf_bytes, workbook_bytes
 from pmabench.report.files.export import escaped, export_results
 from pmabench.report.files.simulator_models import control_model, control_text
 from pmabench.report.foremost import print_coefficients

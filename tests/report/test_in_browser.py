@@ -8,8 +8,7 @@ import numpy as np
 import pypdf
 import pytest
 
-from pmabench.plotting.chart import Chart, Series
-from pmabench.plotting.looks import BLUE, BROWN
+from pmabench.plotting.chart import BLUE, BROWN, Chart, Series
 from pmabench.plotting.pictures import of_charts
 from pmabench.plotting.wording import Frame
 from pmabench.report.certificate.interactive import chart_data
@@ -203,7 +202,7 @@ def test_zoom_holds_a_straight_line_its_name_and_the_ticks(browser, tmp_path):
     ]
     assert all(len(one["x"]) <= 4 for one in chart_series(charts) if "mark" not in one)
     content = content_of([samples.static_load()], [])
-    picture = of_charts([charts], "Lines", "", "lines", Frame([{"a": "1"}]), simulated=False)
+    picture = of_charts([charts], "Lines", "", Frame([{"a": "1"}]), simulated=False)
     path = tmp_path / "zoom.html"
     path.write_text(page_of(replace(content, front=[replace(content.front[0], picture=picture)])), encoding="utf-8")
     page = browser.open("about:blank", width=1100)
@@ -232,8 +231,36 @@ def test_zoom_holds_a_straight_line_its_name_and_the_ticks(browser, tmp_path):
     page.close()
 
 
+def test_charts_of_one_x_axis_zoom_to_the_same_x(browser, tmp_path):
+    """A drag in one of two charts whose axes differ in width by their labels."""
+    x = np.linspace(0, 10, 300)
+    above = Chart("x [mm]", "y [N]", (Series("a", x, 1e4 * x, BLUE),), together="x")
+    below = Chart("x [mm]", "z [N]", (Series("longer name", x, x, BROWN),), together="x")
+    content = content_of([samples.static_load()], [])
+    picture = of_charts([[above, below]], "Lines", "", Frame([{"a": "1"}]), simulated=False)
+    path = tmp_path / "linked.html"
+    path.write_text(page_of(replace(content, front=[replace(content.front[0], picture=picture)])), encoding="utf-8")
+    page = browser.open("about:blank", width=1100)
+    page.send("Page.addScriptToEvaluateOnNewDocument", source=WATCHED)
+    page.go(path.as_uri())
+    page.wait("document.querySelector('.drawn') !== null && window.plots.length === 2")
+    across, down = page.centre("#figure-1 .chart:nth-child(1) .u-over")
+    page.mouse("mouseMoved", across, down)
+    page.mouse("mousePressed", across, down, button="left")
+    page.mouse("mouseMoved", across + 97, down, button="left")
+    page.mouse("mouseReleased", across + 97, down, button="left")
+    page.wait("plots[0].scales.x.max < 9")
+    one, other = page.run("plots.map(plot => [plot.scales.x.min, plot.scales.x.max])")
+    assert one == other
+    assert 4 < one[0] < one[1] < 9
+    page.click("#figure-1 .controls button")
+    page.wait("plots.every(plot => plot.scales.x.max >= 10)")
+    assert page.problems == []
+    page.close()
+
+
 def chart_series(charts):
-    picture = of_charts([charts], "", "", "", Frame([{"a": "1"}]), simulated=False)
+    picture = of_charts([charts], "", "", Frame([{"a": "1"}]), simulated=False)
     return [series for chart in chart_data([(1, picture)])[0]["charts"] for series in chart["series"]]
 
 

@@ -12,7 +12,7 @@ from rich.console import Console
 from pmabench.base.kind import Result
 from pmabench.report.document import tables
 from pmabench.report.document.content import content_of, page_of
-from pmabench.report.document.workbook import workbook_bytes
+from pmabench.report.document.formats import workbook_bytes
 from pmabench.report.files.csv_files import write_with_tables
 from pmabench.report.foremost import print_coefficients, tiles_of
 from pmabench.report.words import declared, distinct

@@ -10,18 +10,8 @@ from pmabench.base.errors import InvalidFile, RecordError, UsageError, VerdictFa
 from pmabench.bench.channels import read_calibration
 from pmabench.bench.interface import Scale
 from pmabench.engine.operator import ConfirmedBeforehand, Nobody
-from pmabench.session.calibration import (
-    DOWN,
-    UP,
-    Point,
-    Request,
-    calibrate,
-    fit,
-    not_followed,
-    not_shown,
-    uncovered,
-    write_calibration,
-)
+from pmabench.session.calibration import Request, calibrate, not_followed, not_shown, uncovered
+from pmabench.session.calibration_line import DOWN, UP, Point, fit, write_calibration
 from pmabench.store.reader import open_run
 from tests.engine.benches import mounted
 

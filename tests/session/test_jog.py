@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from pmabench.base.errors import UsageError
 from pmabench.engine.operator import Nobody
-from pmabench.session.jog import jog
+from pmabench.session.guided import jog
 from pmabench.store.reader import open_run
 from tests.engine.benches import mounted
 

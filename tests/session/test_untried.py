@@ -10,7 +10,7 @@ from pmabench.bench.interface import DeviceRecord, Identity
 from pmabench.engine.bench_checks import doubt
 from pmabench.engine.operator import ConfirmedBeforehand, Nobody
 from pmabench.report.document.provenance import benches
-from pmabench.session.jog import hold_at
+from pmabench.session.guided import hold_at
 from pmabench.store.reader import open_run
 from tests.engine.benches import ROOT, mounted
 from tests.realtime import ended, with_service

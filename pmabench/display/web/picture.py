@@ -241,7 +241,7 @@ def _round(value: float) -> float:
 
 
 def _measured(state: RunState, symbol: str, along: str) -> Iterator[tuple[float, TrialLine, Number]]:
-    """Each number of a quantity with its trial and its place on the axis."""
+    """Place on the axis, trial and number, for each number of a quantity; over trial numbers if `along` is empty."""
     for line in state.lines:
         place = _place(line.point, along) if along else float(line.number)
         if place is not None:

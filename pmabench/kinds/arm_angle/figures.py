@@ -19,9 +19,8 @@ from pmabench.base.quantities import show
 from pmabench.kinds.arm_angle.stairs import Loaded
 from pmabench.kinds.arm_angle.stairs import measure as stair_of
 from pmabench.model.library import MODELS
-from pmabench.plotting.chart import GAP, PAGE, Chart, Level, Series
-from pmabench.plotting.looks import INK, PALETTE, QUIET
-from pmabench.plotting.pictures import Picture, column, crosses, curve, has, how_many, label, numbers, of_charts, spread
+from pmabench.plotting.chart import GAP, INK, PAGE, PALETTE, QUIET, Chart, Level, Series
+from pmabench.plotting.pictures import Picture, column, crosses, curve, has, label, of_traces, spread
 from pmabench.store.analyses.results import Analysis, Finding, Trace
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -213,12 +212,8 @@ def angles(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
         caption += " Dashed: the same with paper 2's 20 numbers."
     if any("table" in t.marks for t in chosen):
         caption += " Short lines at the right end: the largest angles of its Table 1."
-    y = np.concatenate([column(t, "angle")[np.isfinite(column(t, "angle"))] for t in chosen])
-    alt = f"{labels[1]} over {labels[0]} at {len(chosen)} loads, {y.min():.4g} to {y.max():.4g}."
-    table = numbers(list(zip(titles, chosen, strict=True)))
-    charts = _charts(chosen, titles, labels)
-    title = "Bending angle of the arm"
-    return [of_charts([charts], title, caption + how_many(chosen, able), alt, table, simulated=analysis.simulated)]
+    charts = [_charts(chosen, titles, labels)]
+    return [of_traces(charts, "Bending angle of the arm", caption, analysis, chosen, able, titles=titles)]
 
 
 def _charts(traces: Sequence[Trace], titles: Sequence[str], labels: tuple[str, str]) -> list[Chart]:

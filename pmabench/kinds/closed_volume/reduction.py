@@ -23,9 +23,8 @@ from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.kinds.closed_volume import RESULTS
 from pmabench.kinds.closed_volume.stroke import Gas, Stroke, fit_volume, measure, moved_by, spreads_of, volume_at
-from pmabench.plotting.chart import Chart, Series
-from pmabench.plotting.looks import PALETTE
-from pmabench.plotting.pictures import Picture, column, has, how_many, numbers, of_charts, spread, unit_of
+from pmabench.plotting.chart import PALETTE, Chart, Series
+from pmabench.plotting.pictures import Picture, column, has, of_traces, spread, unit_of
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace, withhold
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -235,7 +234,6 @@ def volumes(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     if not chosen:
         return []
     series = [one for i, trace in enumerate(chosen) for one in _series(trace, i)]
-    points = [one for one in series if one.mark]
     labels = (unit_of(chosen[0], "contraction").label("contraction ε"), unit_of(chosen[0], "volume").label("V"))
     marks = chosen[0].marks
     curve = ""
@@ -247,15 +245,10 @@ def volumes(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     caption = (
         "Marks: volumes from the absolute pressure of the air shut in, what leaked taken out, with 95 % intervals, "
         f"from each pressure at which the valve shut{curve}. The pressures share volume at the start, dead volume and "
-        f"room, so the marks differ by less than the intervals.{how_many(chosen, able)}"
+        f"room, so the marks differ by less than the intervals."
     )
-    every = np.concatenate([p.y for p in points])
-    least, most = float(np.nanmin(every)), float(np.nanmax(every))
-    alt = f"{labels[1]} over {labels[0]} from {len(points)} start pressures, {least:.4g} to {most:.4g}."
-    chart = Chart(*labels, tuple(series), alt=alt, legend=True)
-    table = numbers([(p.label, t) for p, t in zip(points, chosen, strict=True)], COLUMNS)
-    title, simulated = "Volume over contraction", analysis.simulated
-    return [of_charts([[chart]], title, caption, alt, table, simulated=simulated)]
+    charts, title = [[Chart(*labels, tuple(series), legend=True)]], "Volume over contraction"
+    return [of_traces(charts, title, caption, analysis, chosen, able, COLUMNS, [p.label for p in series if p.mark])]
 
 
 def _series(trace: Trace, i: int) -> list[Series]:

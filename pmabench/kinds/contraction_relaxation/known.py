@@ -155,7 +155,7 @@ class Outlook:
     """Rows of the fit per cell; its wanted combinations are those values."""
 
     def of_values(self, kept: Sequence[int]) -> Outlook:
-        """The same for some of the values."""
+        """The outlook for the values with these indices only."""
         rows = list(kept)
         design = replace(self.design, wanted=self.design.wanted[rows])
         return replace(self, names=tuple(self.names[n] for n in rows), values=self.values[rows], design=design)

@@ -12,9 +12,8 @@ from pmabench.analysis.model_fit import ModelFit
 from pmabench.base.quantities import show
 from pmabench.kinds.free_contraction.points import CLEAR, Point, curve_of
 from pmabench.model.library import MODELS
-from pmabench.plotting.chart import Chart
-from pmabench.plotting.looks import BLUE, BROWN, INK
-from pmabench.plotting.pictures import Picture, column, crosses, curve, has, label, numbers, of_charts
+from pmabench.plotting.chart import BLUE, BROWN, INK, Chart
+from pmabench.plotting.pictures import Picture, crosses, curve, has, label, of_traces
 from pmabench.store.analyses.results import Analysis, Finding, Trace
 from pmabench.store.records import Array
 
@@ -154,10 +153,10 @@ LINES = {"fit": ("", BROWN, "sigmoid, a to e fitted"), "model": ("", BLUE, "pape
 
 def lengths(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     """One figure for each trace: markers of both sides, or of the mean for one side, and the curves."""
-    return [_lengths(trace, analysis.simulated) for trace in traces if has(trace, "pressure", "length")]
+    return [_lengths(trace, analysis) for trace in traces if has(trace, "pressure", "length")]
 
 
-def _lengths(trace: Trace, simulated: bool) -> Picture:
+def _lengths(trace: Trace, analysis: Analysis) -> Picture:
     labels = label(trace, "pressure"), label(trace, "length")
     sides = has(trace, "below", "above")
     more = ", at each pressure reached from 0 and from the highest pressure" if sides else ""
@@ -175,8 +174,5 @@ def _lengths(trace: Trace, simulated: bool) -> Picture:
         curve(trace, "pressure", name, words, color, mark, hollow=True, dashed=name == "model")
         for name, mark, color, words in lines + marks
     ]
-    y = column(trace, "length")
-    y = y[np.isfinite(y)]
-    alt = f"{labels[1]} over {labels[0]}: {len(y)} lengths from {y.max():.4g} down to {y.min():.4g}."
     chart = Chart(*labels, (*series, *crosses([trace], "pressure", "length")[0]), legend=True)
-    return of_charts([[chart]], "Free contraction", caption, alt, numbers([("", trace)]), simulated=simulated)
+    return of_traces([[chart]], "Free contraction", caption, analysis, [trace])

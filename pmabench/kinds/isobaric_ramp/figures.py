@@ -15,8 +15,7 @@ from pmabench.analysis.shared.ramp_loop import measure_as_planned
 from pmabench.analysis.shared.samples import NotUsable
 from pmabench.analysis.shared.trials import grouped
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
-from pmabench.plotting.chart import ZERO, Chart, Series, small_multiples
-from pmabench.plotting.looks import BROWN, INK, PALETTE
+from pmabench.plotting.chart import BROWN, INK, PALETTE, ZERO, Chart, Series, small_multiples
 from pmabench.plotting.pictures import (
     Picture,
     column,
@@ -24,10 +23,8 @@ from pmabench.plotting.pictures import (
     curve,
     has,
     head,
-    how_many,
     label,
-    numbers,
-    of_charts,
+    of_traces,
     reach,
     spread,
 )
@@ -63,18 +60,17 @@ def loops(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
         lines = [_line(t, said[t.name], colors[said[t.name]]) for t in speeds[key]]
         lines += [_line(means[key], "mean", INK, dashed=True)] if key in means else []
         charts.append(Chart(*labels, (*lines, *published), height=170.0, title=title, legend=True))
-    rows = [(f"{head(t)}, {said[t.name]}", t) for key in chosen for t in speeds[key]]
     gaps = [t.marks["H"] for key in chosen for t in groups[key] if "H" in t.marks]
     caption = (
         "The last cycle at each speed, and in black the mean of its branches, taken to speed 0: what a model without "
         f"hysteresis is to give. Gap at mid stroke, expanding minus contracting: {reach(gaps)} N."
-        f"{how_many(chosen, keys)}"
     )
-    alt = f"{labels[1]} over {labels[0]} as loops at {', '.join(titles)}, with the mean curve."
-    table = numbers(rows, ("displacement", "force"))
+    caption += f" {len(chosen)} of {len(keys)} are shown." if len(chosen) < len(keys) else ""
+    drawn = [t for key in chosen for t in speeds[key]]
+    figure = small_multiples(charts, 3), "Isobaric loops", caption, analysis, drawn
     return [
-        of_charts(small_multiples(charts, 3), "Isobaric loops", caption, alt, table, simulated=analysis.simulated),
-        *_means([means[key] for key in chosen if key in means], analysis.simulated),
+        of_traces(*figure, columns=("displacement", "force"), titles=[f"{head(t)}, {said[t.name]}" for t in drawn]),
+        *_means([means[key] for key in chosen if key in means], analysis),
     ]
 
 
@@ -82,16 +78,16 @@ def _line(trace: Trace, name: str, color: str, **looks: Any) -> Series:
     return curve(trace, "displacement", "force", name, color, width=1.0, **looks)
 
 
-def _means(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
+def _means(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     """Mean curves and gaps of all pressures, over contraction."""
     able = [t for t in traces if has(t, "displacement", "force", "gap")]
     if len(able) < 2:
         return []
-    titles, unit, x = [head(t) for t in able], shown("force").unit, label(able[0], "displacement")
+    unit, x = shown("force").unit, label(able[0], "displacement")
     forces, gaps = [], []
-    for n, (t, title) in enumerate(zip(able, titles, strict=True)):
+    for n, t in enumerate(able):
         color = PALETTE[n % len(PALETTE)]
-        forces.append(curve(t, "displacement", "force", title, color))
+        forces.append(curve(t, "displacement", "force", head(t), color))
         gaps.append(curve(t, "displacement", "gap", "", color))
     upper = Chart(x, f"mean force [{unit}]", forces, height=150.0)
     lower = Chart(x, f"gap [{unit}]", gaps, height=96.0, y_ticks=3, levels=(ZERO,))
@@ -99,10 +95,8 @@ def _means(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
         "Above: mean of the branches at each pressure. Below: the gap between them at the lowest speed; it closes at "
         "the ends of the stroke, where one branch turns into the other."
     )
-    alt = f"Mean force and gap over contraction at {', '.join(titles)}."
-    table = numbers(list(zip(titles, able, strict=True)), ("displacement", "force", "gap"))
-    title = "Mean curves and gap over contraction"
-    return [of_charts(small_multiples([(upper, lower)], 1), title, caption, alt, table, simulated=simulated)]
+    rows, columns = small_multiples([(upper, lower)], 1), ("displacement", "force", "gap")
+    return [of_traces(rows, "Mean curves and gap over contraction", caption, analysis, able, columns=columns)]
 
 
 def rubber(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
@@ -115,14 +109,12 @@ def rubber(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
             "Marks: mean of the branches without pressure. Line: F_e = A ε (ε − B1)/(ε + B2) (paper 3, eq. 8), rms "
             f"difference {off:.2g} {shown('force').unit}."
         )
-        alt = f"Force over contraction without pressure, measured and fitted, apart by {off:.2g} N rms."
         every = max(1, len(measured.x) // MARKED)
         marks = replace(measured, x=measured.x[::every], y=measured.y[::every], hollow=True)
         theirs = crosses([trace], "displacement", "force")[0]
         labels = label(trace, "displacement"), label(trace, "force")
-        chart = Chart(*labels, (fitted, marks, *theirs), alt=alt, legend=True)
-        table, title = numbers([("", trace)]), "Force of the rubber at 0 kPa"
-        found.append(of_charts([[chart]], title, caption, alt, table, simulated=analysis.simulated))
+        chart = Chart(*labels, (fitted, marks, *theirs), legend=True)
+        found.append(of_traces([[chart]], "Force of the rubber at 0 kPa", caption, analysis, [trace]))
     return found
 
 

@@ -21,9 +21,8 @@ from pmabench.analysis.shared.calibration import Scales
 from pmabench.base.quantities import show
 from pmabench.kinds.isometric_pressurisation.curve import Cell
 from pmabench.model.library.daerden import section_factor
-from pmabench.plotting.chart import Chart, Series
-from pmabench.plotting.looks import BLUE
-from pmabench.plotting.pictures import Picture, column, has, numbers, of_charts, unit_of
+from pmabench.plotting.chart import BLUE, Chart, Series
+from pmabench.plotting.pictures import Picture, column, has, of_traces, unit_of
 from pmabench.plotting.wording import shown
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array
@@ -316,10 +315,10 @@ def section_trace(one: Section, cells: Sequence[Cell], length: float) -> Trace:
 
 def pictures(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     """One figure for each trace: slopes and the curve."""
-    return [_picture(trace, analysis.simulated) for trace in traces if has(trace, *COLUMNS)]
+    return [_picture(trace, analysis) for trace in traces if has(trace, *COLUMNS)]
 
 
-def _picture(trace: Trace, simulated: bool) -> Picture:
+def _picture(trace: Trace, analysis: Analysis) -> Picture:
     eps, slope, half, curve, low, high = (column(trace, name) for name in COLUMNS)
     point, line = np.isfinite(slope), np.isfinite(curve)
     band = np.where(np.isfinite(high - low), 0.5 * (high - low), 0.0)
@@ -335,10 +334,5 @@ def _picture(trace: Trace, simulated: bool) -> Picture:
         f"− 1 / sin² θ0] of paper 3 through them, with its 95 % band ({fitted}). The curve may be known well where its "
         "parameters are not."
     )
-    alt = (
-        f"{labels[1]} over {labels[0]}: {int(point.sum())} slopes from {slope[point].max():.4g} down to "
-        f"{slope[point].min():.4g}, and a curve through them with a band."
-    )
-    chart = Chart(*labels, (fitted_line, points), alt=alt)
-    title, table = "Force by pressure, S, over contraction", numbers([("", trace)])
-    return of_charts([[chart]], title, caption, alt, table, simulated=simulated)
+    charts = [[Chart(*labels, (fitted_line, points))]]
+    return of_traces(charts, "Force by pressure, S, over contraction", caption, analysis, [trace])

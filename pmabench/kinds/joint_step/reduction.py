@@ -33,9 +33,9 @@ from pmabench.analysis.shared.skew import late, off
 from pmabench.analysis.shared.trials import Reduction, mean_of_trials, point_of
 from pmabench.base.quantities import show
 from pmabench.kinds.joint_step import RESULTS
-from pmabench.plotting.looks import BLUE, BROWN, QUIET
+from pmabench.plotting.chart import BLUE, BROWN, QUIET
 from pmabench.plotting.motion import courses as courses_of
-from pmabench.plotting.pictures import Picture, curve, has, how_many, label, numbers, of_charts, spread
+from pmabench.plotting.pictures import Picture, curve, has, label, of_traces, spread
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -295,10 +295,6 @@ def courses(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     stacks = [(one.title, [curve(one, "t", name, "", color, width=1.0) for name, color in looks], ()) for one in chosen]
     caption = (
         "The reference, the angle that followed, and the pressure of muscle 1, in the last trial of each point; "
-        f"muscle 2 does the opposite.{how_many(chosen, able)}"
+        "muscle 2 does the opposite."
     )
-    alt = f"{labels[2]} over {labels[0]} below its reference: {', '.join(trace.title for trace in chosen)}."
-    table = numbers([(trace.title, trace) for trace in chosen])
-    return [
-        of_charts(courses_of(stacks, labels), "Angle in closed loop", caption, alt, table, simulated=analysis.simulated)
-    ]
+    return [of_traces(courses_of(stacks, labels), "Angle in closed loop", caption, analysis, chosen, able)]

@@ -23,18 +23,15 @@ from pmabench.analysis.shared.samples import NotUsable, ends, on_time, settings_
 from pmabench.analysis.shared.trials import Reduction, grouped
 from pmabench.base.quantities import show
 from pmabench.kinds.joint_sweep import RESULTS
-from pmabench.plotting.chart import Chart, small_multiples
-from pmabench.plotting.looks import BLUE, INK
+from pmabench.plotting.chart import BLUE, INK, Chart, small_multiples
 from pmabench.plotting.pictures import (
     Picture,
     crosses,
     curve,
     has,
     head,
-    how_many,
     label,
-    numbers,
-    of_charts,
+    of_traces,
     reach,
     spread,
 )
@@ -349,9 +346,6 @@ def loops(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     caption = (
         "The last cycle, and the mean of its branches without what the turns leave in it: what a model without "
         f"hysteresis is to give. Gap at mid sweep, falling minus rising angle: {gaps} N·m; stiffness there: {slopes} "
-        f"N·m/rad.{how_many(chosen, able)}"
+        f"N·m/rad."
     )
-    alt = f"{labels[1]} over {labels[0]} as loops: {', '.join(map(head, chosen))}, with the mean curve."
-    table = numbers([(head(trace), trace) for trace in chosen])
-    rows = small_multiples(charts, 3)
-    return [of_charts(rows, "Torque over angle", caption, alt, table, simulated=analysis.simulated)]
+    return [of_traces(small_multiples(charts, 3), "Torque over angle", caption, analysis, chosen, able)]

@@ -22,9 +22,8 @@ from pmabench.analysis.shared.trials import Reduction, grouped
 from pmabench.base.quantities import show
 from pmabench.kinds.joint_torque import RESULTS
 from pmabench.kinds.joint_torque.staircase import ORDERS, ROUNDED, Staircase, ramps_of, staircase_of
-from pmabench.plotting.chart import ZERO, Chart, small_multiples
-from pmabench.plotting.looks import PALETTE
-from pmabench.plotting.pictures import Picture, curve, has, how_many, label, numbers, of_charts, spread, unit_of
+from pmabench.plotting.chart import PALETTE, ZERO, Chart, small_multiples
+from pmabench.plotting.pictures import Picture, curve, has, label, of_traces, spread, unit_of
 from pmabench.store.analyses.results import Analysis, Estimate, Parts, Trace, withhold
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -382,10 +381,8 @@ def maps(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
         rows = small_multiples([(upper, lower)], 1)
         caption = (
             "Above the torque that the joint holds at each angle, the mean of both sides; below its stiffness, minus "
-            f"the slope of that torque. A line for each pair of pressures of muscle 1 and muscle 2."
-            f"{how_many(chosen, able)}"
+            "the slope of that torque. A line for each pair of pressures of muscle 1 and muscle 2."
         )
-        alt = f"{labels[0]} and {labels[1]} over {upper.x_label} at {', '.join(chosen)}."
-        table, title = numbers([("", trace)]), "Torque and stiffness over angle"
-        found.append(of_charts(rows, title, caption, alt, table, simulated=analysis.simulated))
+        caption += f" {len(chosen)} of {len(able)} are shown." if len(chosen) < len(able) else ""
+        found.append(of_traces(rows, "Torque and stiffness over angle", caption, analysis, [trace]))
     return found

@@ -1,7 +1,7 @@
 """Steps of attitude of a platform that is tilted by three muscles: settling time, overshoot, end error, valve openings.
 
-- `reduction`: one step, checks of the accelerometer; then all steps of an attitude
-- protocol files: `protocol`; figures: `figures`
+- `reduction`: one step, checks of the accelerometer; then all steps of an attitude; the figure
+- protocol files: `protocol`
 """
 
 from pmabench.base.kind import Kind, Result
@@ -34,7 +34,7 @@ KIND = Kind(
     protocol="pmabench.kinds.platform_step.protocol:PlatformSteps",
     live="pmabench.kinds.reduce:of_one_trial",
     methods=METHODS,
-    figures={"attitude": "pmabench.kinds.platform_step.figures:attitudes"},
-    front={"attitude": "pmabench.kinds.platform_step.figures:attitudes"},
+    figures={"attitude": "pmabench.kinds.platform_step.reduction:attitudes"},
+    front={"attitude": "pmabench.kinds.platform_step.reduction:attitudes"},
     loop=True,
 )

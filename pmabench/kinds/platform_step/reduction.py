@@ -1,7 +1,8 @@
 """Reduction of steps of a platform's attitude: time, overshoot, end error and valve openings, each with an interval.
 
 The attitude is corrected for the accelerometer's height. Errors of the accelerometer show in its own readings: at rest
-their magnitude is g at every attitude, and nearly so in motion.
+their magnitude is g at every attitude, and nearly so in motion. Also the figure: attitude with its reference, and the
+three pressures.
 """
 
 from __future__ import annotations
@@ -23,6 +24,8 @@ from pmabench.base.errors import UsageError
 from pmabench.base.quantities import show
 from pmabench.kinds.platform_step import ACCELERATIONS, MUSCLES, RESULTS, VALVES
 from pmabench.model.many.platform import Lags
+from pmabench.plotting.chart import BLUE, BROWN, INK, PAGE, PALETTE, Chart, small_multiples
+from pmabench.plotting.pictures import Picture, curve, has, head, label, of_traces, spread
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Trace, withhold
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -365,3 +368,40 @@ def _reference(one: Course) -> Array:
         goal = next((at for begin, at in reversed(goals) if t - start >= begin - 1e-9), goals[0][1])
         rows.append(lags.update(float(h), goal))
     return np.array(rows).T
+
+
+COLUMNS, MOST = 3, 6
+UPPER, LOWER = 120.0, 90.0
+SHOWN = ("t", "phi", "psi", "reference_phi", "reference_psi", *MUSCLES, "wanted_1", "wanted_2", "wanted_3")
+
+
+def attitudes(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
+    """One trial of each attitude and chain."""
+    able = [trace for trace in traces if has(trace, *SHOWN)]
+    if not able:
+        return []
+    chosen = spread(able, MOST)
+    caption = (
+        "Above: attitude from the accelerometer without what its height adds, and the reference that it is to follow "
+        "(dashed). Below: pressures of muscles 1 to 3, and what was wanted (dashed). The step is at 0 s."
+    )
+    rows = small_multiples(list(map(_charts, chosen)), COLUMNS, width=PAGE)
+    return [of_traces(rows, "Attitude of the platform", caption, analysis, chosen, able, SHOWN[:8])]
+
+
+def _charts(trace: Trace) -> list[Chart]:
+    """Attitude, and pressures below, of one trial."""
+    t = label(trace, "t")
+    angles = [(axis, axis, color, False) for axis, color in (("phi", BLUE), ("psi", BROWN))]
+    angles += [("reference" if axis == "phi" else "", f"reference_{axis}", INK, True) for axis in ("phi", "psi")]
+    pressures = []
+    for n, (name, color) in enumerate(zip(MUSCLES, PALETTE[2:], strict=False), start=1):
+        pressures += [(f"muscle {n}", name, color, False), ("", f"wanted_{n}", color, True)]
+    upper, lower = (
+        [curve(trace, "t", name, word, color, width=0.8, dashed=dashed) for word, name, color, dashed in lines]
+        for lines in (angles, pressures)
+    )
+    return [
+        Chart(t, "phi, psi [deg]", upper, height=UPPER, title=head(trace), legend=True),
+        Chart(t, "pressure [kPa]", lower, height=LOWER, legend=True, y_ticks=4),
+    ]

@@ -13,10 +13,9 @@ from pmabench.analysis.shared.samples import NotUsable
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.kinds.positioning.reduction import Tracked, measured
-from pmabench.plotting.chart import PAGE, Chart, Level, Series, small_multiples
-from pmabench.plotting.looks import BROWN, FAINT, INK, QUIET
+from pmabench.plotting.chart import BROWN, FAINT, INK, PAGE, QUIET, Chart, Level, Series, small_multiples
 from pmabench.plotting.motion import overlays
-from pmabench.plotting.pictures import Picture, column, has, head, how_many, label, numbers, of_charts, spread, unit_of
+from pmabench.plotting.pictures import Picture, column, has, head, label, of_traces, spread, unit_of
 from pmabench.store.analyses.results import Analysis, Trace
 from pmabench.store.records import RunData, TrialData
 
@@ -39,17 +38,13 @@ def positions(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     caption = (
         f"Above: the approach from rest, measured{simulated}. Below: distance from the set-point over the whole hold, "
         "on one scale. The upright line begins the window of steady-state error and limit cycle."
-        f"{' The simulation is the same loop around the model.' if modelled else ''}{how_many(chosen, able)}"
+        f"{' The simulation is the same loop around the model.' if modelled else ''}"
     )
-    alt = (
-        f"Position over time in closed loop, reference, measured{simulated}, and the distance from the set-point, at "
-        f"{'; '.join(map(head, chosen))}."
-    )
-    table = numbers([(head(t), t) for t in chosen], ("t", "setpoint", "displacement", "model", "pressure_command"))
     reach = max(map(_reach, chosen))
     pairs = [_charts(trace, reach, modelled=modelled) for trace in chosen]
     rows = small_multiples(pairs, COLUMNS, common="", one_x=False, width=PAGE)
-    return [of_charts(rows, "Positions in closed loop", caption, alt, table, simulated=analysis.simulated)]
+    columns = ("t", "setpoint", "displacement", "model", "pressure_command")
+    return [of_traces(rows, "Positions in closed loop", caption, analysis, chosen, able, columns)]
 
 
 def paths(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:

@@ -270,7 +270,7 @@ def _no_time(steps: Sequence[Step], found: Sequence[Delayed]) -> str:
 
 
 def _sentences(at: Mapping[str, float], steps: Sequence[Step]) -> list[Finding]:
-    where = f"{show(at['from'], 'pressure')} to {show(at['pressure'], 'pressure')}"
+    where = f"{show(round(at['from']), 'pressure')} to {show(round(at['pressure']), 'pressure')}"
     overshoot = [
         float(np.max(np.sign(s.size) * (s.P[s.t > 0] - np.median(s.P[s.t > AFTER])))) / abs(s.size) for s in steps
     ]
@@ -307,7 +307,7 @@ def _trace(step: Step, *, by_load: bool) -> Trace:
     return Trace(
         name=f"step-{before / 1e3:.0f}-{after / 1e3:.0f}kPa" + (f"-{_load(step)[0]:.0f}N" if by_load else ""),
         figure="overlay",
-        title=f"{show(before, 'pressure')} to {show(after, 'pressure')}: measured and fitted motion",
+        title=f"{show(round(before), 'pressure')} to {show(round(after), 'pressure')}: measured and fitted motion",
         columns={"t": step.t[near], "pressure": step.P[near], "displacement": step.x[near], "model": step.best.model},
         quantities={"t": "time", "pressure": "pressure", "displacement": "length", "model": "length"},
         marks={"pressure": after, "load": point.get("load", 0.0)},

@@ -26,9 +26,16 @@ from pmabench.analysis.shared.trials import Reduction
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.kinds.relaxation import RESULTS
-from pmabench.plotting.chart import Chart, Series
-from pmabench.plotting.looks import PALETTE
-from pmabench.plotting.pictures import Picture, column, has, head, how_many, numbers, of_charts, spread, unit_of
+from pmabench.plotting.chart import PALETTE, Chart, Series
+from pmabench.plotting.pictures import (
+    Picture,
+    column,
+    has,
+    head,
+    of_traces,
+    spread,
+    unit_of,
+)
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, Command, RunData, TrialData
 
@@ -502,14 +509,11 @@ def courses(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     values = "".join(f"; {head(t)}: s = {t.marks['s']:.2%} per decade" for t in chosen)
     caption = (
         "Marks: means of the force over equal parts of log t, the pressure divided out; lines: F = F_1 (1 − s log10 t)"
-        f"{values}.{how_many(chosen, able)}"
+        f"{values}."
     )
-    alt = f"{labels[1]} over {labels[0]} at {len(chosen)} points; {'; '.join(map(head, chosen))}."
-    table = numbers([(head(t), t) for t in chosen])
-    title, simulated = "Force over time after the step", analysis.simulated
     series = [one for i, trace in enumerate(chosen) for one in _series(trace, PALETTE[i % len(PALETTE)])]
-    chart = Chart(*labels, tuple(series), alt=alt, legend=True)
-    return [of_charts([[chart]], title, caption, alt, table, simulated=simulated)]
+    charts = [[Chart(*labels, tuple(series), legend=True)]]
+    return [of_traces(charts, "Force over time after the step", caption, analysis, chosen, able)]
 
 
 def _series(trace: Trace, color: str) -> list[Series]:

@@ -1,6 +1,6 @@
 """Sinusoidal motion of the driven end at constant pressure: K, B, F_c, loops.
 
-- `reduction`, with effects of filters, steps and a varying pressure; made of `fit`, `mean_force`, `form` (corrections
+- `reduction`, with effects of filters, steps and a varying pressure; made of `fit`, `form` (corrections
   and contradictions by harmonics and creep), `pressure`
 - protocol files: `protocol`; one trial on the display: `reduction`
 """

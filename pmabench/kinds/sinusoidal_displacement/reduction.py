@@ -31,10 +31,15 @@ from pmabench.analysis.shared.trials import Point, Reduction, grouped, point_by,
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.analysis.verdict.agreement import Offer, exactly, values_of
 from pmabench.base.quantities import show
-from pmabench.kinds.sinusoidal_displacement import RESULTS, mean_force
+from pmabench.kinds.sinusoidal_displacement import RESULTS
 from pmabench.kinds.sinusoidal_displacement.fit import DISTORTED, HARMONIC, Fitted, Member, Muscle, of_like_motion
 from pmabench.kinds.sinusoidal_displacement.form import Form, judged, pressure_of
-from pmabench.kinds.sinusoidal_displacement.pressure import pressure_and_force
+from pmabench.kinds.sinusoidal_displacement.pressure import (
+    SINE_MEAN,
+    force_slopes,
+    mean_force_estimates,
+    pressure_and_force,
+)
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Trace
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -65,7 +70,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     result.measured, result.findings = _even_pressure(_as_alike(result.measured), result.options)
     members, scales, lines = result.measured, result.scales, list[dict[str, Any]]()
     fits, stated = _fits(members, result.options)
-    rising, changing = mean_force.force_slopes(fits), _over_pressure(fits)
+    rising, changing = force_slopes(fits), _over_pressure(fits)
     for key, fitted in fits.items():
         at, form, slopes = dict(key), fitted.form, changing.get(key)
         cell = Cell(at, scales, slopes, rising.get(key), form)
@@ -108,7 +113,7 @@ class Cell:
     def estimates(self, fitted: Fitted, form: Form) -> list[Estimate]:
         """All estimates from these lines, corrected and withheld by the harmonics of `form`."""
         found = judged(fitted.estimates(self.at, self.scales, self.slopes), form)
-        return [*found, *mean_force.mean_force_estimates(self.at, fitted, form, self.scales, self.rising)]
+        return [*found, *mean_force_estimates(self.at, fitted, form, self.scales, self.rising)]
 
     def off(self, fitted: Fitted) -> float:
         """Measured pressure minus the set one [Pa], the largest of a trial; nan where either is unknown."""
@@ -365,7 +370,7 @@ def offers(analysis: Analysis) -> Iterator[Offer]:
         for e in values_of(analysis, symbol, HARMONIC):
             yield exactly(symbol, {(e.at["pressure"], e.at.get("mean") if symbol == "K" else None): e})
     for symbol in ("F_ce", "F"):
-        for e in values_of(analysis, symbol, mean_force.SINE_MEAN):
+        for e in values_of(analysis, symbol, SINE_MEAN):
             yield exactly("F", {(e.at["pressure"], 0.0 if symbol == "F_ce" else e.at.get("mean")): e})
 
 

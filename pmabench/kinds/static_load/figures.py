@@ -15,8 +15,7 @@ from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.kinds.static_load.points import PHASES, Points, pressure_of, pressures_of
 from pmabench.plotting import pictures
-from pmabench.plotting.chart import Chart, Level, Series, small_multiples
-from pmabench.plotting.looks import BLUE, BROWN, GREEN, INK, QUIET
+from pmabench.plotting.chart import BLUE, BROWN, GREEN, INK, QUIET, Chart, Level, Series, small_multiples
 from pmabench.plotting.wording import clean, shown
 from pmabench.store.analyses.results import Analysis, Finding, Trace
 from pmabench.store.records import RunData, TrialData
@@ -107,13 +106,10 @@ def lifts(traces: Sequence[Trace], analysis: Analysis) -> list[pictures.Picture]
     chosen = pictures.spread(able, PANELS)
     caption = (
         "Above: pressure, rising until the load lifts off its support and falling until it sets down; dashed, the "
-        f"pressures found. Below: contraction.{pictures.how_many(chosen, able)}"
+        "pressures found. Below: contraction."
     )
-    titles = [pictures.head(t) for t in chosen]
-    alt = f"Pressure and contraction over time while loads lift off and set down: {'; '.join(titles)}."
-    table = pictures.numbers(list(zip(titles, chosen, strict=True)), ("t", "pressure", "displacement"))
-    rows = small_multiples([_lift(trace) for trace in chosen], 3, common="")
-    return [pictures.of_charts(rows, "Lift-off and set-down", caption, alt, table, simulated=analysis.simulated)]
+    rows, columns = small_multiples([_lift(trace) for trace in chosen], 3, common=""), ("t", "pressure", "displacement")
+    return [pictures.of_traces(rows, "Lift-off and set-down", caption, analysis, chosen, able, columns)]
 
 
 def _lift(trace: Trace) -> tuple[Chart, Chart]:
@@ -145,13 +141,10 @@ def points(traces: Sequence[Trace], analysis: Analysis) -> list[pictures.Picture
             series.append(Series(clean(c.method, 40), x / shown("pressure").scale, y, color, width=1.0, dashed=n > 0))
         series.append(Series("lift-off", lift, load, BROWN, "^", hollow=True))
         series.append(Series("set-down", set_down, load, GREEN, "v", hollow=True))
-        count = len(np.unique(trace.columns["load"]))
         caption = "Each mark is one trial: friction holds the load down at lift-off and up at set-down."
-        alt = f"{count} loads over the pressures at which they lift off and set down, with straight lines through them."
         labels = shown("pressure").label("P"), shown("force").label("F_L")
-        chart = Chart(*labels, tuple(series), height=180.0, alt=alt, legend=True)
-        title, table = clean(trace.title, 90), pictures.numbers([("", trace)])
-        found.append(pictures.of_charts([[chart]], title, caption, alt, table, simulated=analysis.simulated))
+        charts = [[Chart(*labels, tuple(series), height=180.0, legend=True)]]
+        found.append(pictures.of_traces(charts, clean(trace.title, 90), caption, analysis, [trace]))
     return found
 
 

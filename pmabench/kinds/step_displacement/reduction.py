@@ -26,10 +26,9 @@ from pmabench.analysis.verdict.agreement import Offer, exactly, values_of, weigh
 from pmabench.base.quantities import show
 from pmabench.kinds.step_displacement import RESULTS
 from pmabench.kinds.step_displacement.step import Recovery, Relaxation, Steps, measure
-from pmabench.plotting.chart import Level, Series
-from pmabench.plotting.looks import BLUE, BROWN, INK, QUIET
+from pmabench.plotting.chart import BLUE, BROWN, INK, QUIET, Level, Series
 from pmabench.plotting.motion import courses
-from pmabench.plotting.pictures import Picture, column, has, head, how_many, label, numbers, of_charts, spread
+from pmabench.plotting.pictures import Picture, column, has, head, label, of_traces, spread
 from pmabench.plotting.wording import shown
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace, withhold
 from pmabench.store.records import RunData, TrialData
@@ -370,9 +369,8 @@ def steps(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     chosen = spread(able, PANELS)
     if not chosen:
         return []
-    scale, titles = shown("force").scale, [head(t) for t in chosen]
-    stacks = []
-    for trace, title in zip(chosen, titles, strict=True):
+    scale, stacks = shown("force").scale, []
+    for trace in chosen:
         near = _around(trace)
         lines = [
             Series("", column(trace, "t")[near], column(trace, name)[near], color, width=1.0)
@@ -380,17 +378,13 @@ def steps(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
             if all(has(t, name) for t in chosen)
         ]
         levels = [Level(trace.marks[name] / scale, color=INK) for name in LEVELS if name in trace.marks]
-        stacks.append((title, lines, levels))
+        stacks.append((head(trace), lines, levels))
     labels = [label(chosen[0], name) for name in ("t", "displacement", "force")] + [shown("pressure").label("pressure")]
     caption = (
         "Around the last step of a trial. Dashed: force before the step, at its peak and relaxed; the rest after the "
-        f"step is longer than what is drawn.{how_many(chosen, able)}"
+        "step is longer than what is drawn."
     )
-    alt = f"Contraction, force and pressure over time around steps of displacement: {'; '.join(titles)}."
-    table = numbers(list(zip(titles, chosen, strict=True)))
-    return [
-        of_charts(courses(stacks, labels), "Steps of displacement", caption, alt, table, simulated=analysis.simulated)
-    ]
+    return [of_traces(courses(stacks, labels), "Steps of displacement", caption, analysis, chosen, able)]
 
 
 def _around(trace: Trace) -> NDArray[np.bool_]:

@@ -87,7 +87,7 @@ WAYS: Mapping[str, tuple[type[GainCell[Any]], Callable[[RunData, TrialData], Exa
 
 
 def _way_of(trial: TrialData) -> tuple[str, str]:
-    """The method of a trial, and what it lacks for that; the latter is empty if nothing."""
+    """The method that a trial was recorded for, and why it cannot be used for that, or empty."""
     way = "open_loop" if steps_of(trial) else "levels" if search_of(trial) is None else "relay"
     if way == "levels" and _search(trial) is None:
         return way, NO_LEVELS

@@ -275,7 +275,7 @@ def _estimates(at: dict[str, float], members: Sequence[_Step], method: str, full
     lacking = scales.lack(channels, channels)
 
     def share(symbol: str, values: list[float], by: float) -> Estimate:
-        """An error in the window; `by`: its change per offset of the displacement [1/m]."""
+        """Estimate of an error that is a ratio; an offset of the displacement changes it by `by` [1/m]."""
         part = scales.part({"displacement": 1.0}, {"displacement": by})
         scaled = [name for name in ("pressure gain", "pressure offset") if name in causes]
         others = [by * max(abs(step.moved[name]) for step in members) for name in scaled]

@@ -15,9 +15,8 @@ from math import isfinite
 
 import numpy as np
 
-from pmabench.plotting.chart import PAGE, Array, Chart, Series, small_multiples
-from pmabench.plotting.looks import BLUE, BROWN, FAINT, QUIET
-from pmabench.plotting.pictures import Picture, column, has, head, label, numbers, of_charts, spread, unit_of
+from pmabench.plotting.chart import BLUE, BROWN, FAINT, PAGE, QUIET, Array, Chart, Series, small_multiples
+from pmabench.plotting.pictures import Picture, column, has, head, label, of_charts, of_traces, spread, unit_of
 from pmabench.plotting.wording import Frame, half_width, rounded
 from pmabench.report.document.tables import is_number, mappings
 from pmabench.store.analyses.results import Analysis, Trace
@@ -88,34 +87,20 @@ def force_picture(analyses: Sequence[Analysis], less: float = 0.0) -> Picture | 
     levels = spread(levels, MOST)
     dots = np.concatenate([np.concatenate([level.rest, level.back]) for level in levels])
     low, high, far = float(dots[:, 1].min()), float(dots[:, 1].max()), float(dots[:, 0].max())
-    simulated = any(a.simulated for a in analyses)
     reach = max(far * 1.12, min(max(float(level.contraction(ZERO)) for level in levels), 1.6 * far))
     series = [one for n, level in enumerate(levels) for one in _series(level, n / (len(levels) - 1), reach)]
     ends = f"{_shown(levels[0].P)} to {_shown(levels[-1].P)} kPa"
     bent = any(level.bend is not None for level in levels)
-    kind = "bent lines, −K their slope at one contraction" if bent else "straight lines with slope −K"
-    alt = (
-        f"Force over contraction at {len(levels)} pressures from {ends}: {kind}, "
-        f"from {levels[0].F_ce:.4g} N and {levels[-1].F_ce:.4g} N at no contraction; "
-        f"measured from {low:.3g} to {high:.3g} N."
-    )
-    chart = Chart(
-        x_label="contraction x [mm]",
-        y_label="F [N]",
-        series=tuple(series),
-        width=PAGE,
-        height=HEIGHT - less,
-        alt=alt,
-        tested=_tested(levels, low, high),
-        zero=True,
-    )
+    tested = _tested(levels, low, high)
+    chart = Chart("contraction x [mm]", "F [N]", tuple(series), PAGE, HEIGHT - less, tested=tested, zero=True)
     friction = next((e.value or 0.0 for a in analyses for e in a.estimates if e.symbol == "F_c" and not e.at), 0.0)
     size = rounded(friction, None, 3) if friction > 0 else ""
     off = f" Friction lets a muscle rest up to F_c = {size} N off its line." if size else ""
     hollow = " Hollow: where relaxing strokes ended." if any(len(level.back) for level in levels) else ""
     lines = "the fitted force; K is its slope at one contraction" if bent else "F = F_ce − K x of the fit"
     caption = f"Lines: {lines}. Dots: where strokes ended under each load.{hollow}{off}"
-    return of_charts([[chart]], f"Force over contraction, {ends}", caption, alt, _table(levels), simulated=simulated)
+    simulated = any(a.simulated for a in analyses)
+    return of_charts([[chart]], f"Force over contraction, {ends}", caption, _table(levels), simulated=simulated)
 
 
 def _levels(analyses: Sequence[Analysis]) -> list[Level]:
@@ -224,10 +209,8 @@ def stroke_picture(analyses: Sequence[Analysis]) -> tuple[Picture, Trace] | None
         f"misses this trial by {misfit}, {share:.2g} % of the stroke."
     )
     title = f"One stroke, {where}: measured and free run"
-    alt = f"Contraction over time at {where}: measured, and the fitted muscle on it. Their difference, {misfit}."
-    table = numbers([("", trace)], ("t", "displacement", "model"))
     rows = small_multiples([charts], 1, width=PAGE)
-    return of_charts(rows, title, caption, alt, table, simulated=analysis.simulated), trace
+    return of_traces(rows, title, caption, analysis, [trace], columns=("t", "displacement", "model")), trace
 
 
 def slopes_of(analyses: Sequence[Analysis], methods: Iterable[str]) -> dict[float, tuple[float, float]]:

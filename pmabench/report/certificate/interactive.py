@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.plotting.chart import Array, Chart, Series, level_names, limits, rows_needed
-from pmabench.plotting.looks import SHAPES
+from pmabench.plotting.chart import SHAPES, Array, Chart, Series, in_words, limits
+from pmabench.plotting.drawing import level_names, rows_needed
 from pmabench.plotting.pictures import Picture
 from pmabench.plotting.svg import symbol_parts
 
@@ -79,7 +79,7 @@ def _chart(chart: Chart) -> dict[str, Any]:
         "x": _greek(chart.x_label),
         "y": _greek(chart.y_label),
         "title": _greek(chart.title),
-        "alt": chart.alt or f"{chart.title} {chart.y_label} over {chart.x_label}".strip(),
+        "alt": in_words([chart]),
         "range": [x0, x1, y0, y1],
         "ratio": round(chart.height / chart.width, 4),
         "named": chart.x_named,

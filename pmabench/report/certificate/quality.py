@@ -18,13 +18,12 @@ from math import pi
 import numpy as np
 
 from pmabench.analysis.verdict.checks import checks_of
-from pmabench.plotting.looks import BLUE, BROWN, DARK, GREEN, QUIET
+from pmabench.plotting.chart import BLUE, BROWN, DARK, GREEN, QUIET
 from pmabench.plotting.pictures import column, has, unit_of, usable
 from pmabench.plotting.wording import (
     POINTS,
     brief,
     clean,
-    half_width,
     in_order,
     number,
     point_head,
@@ -37,7 +36,7 @@ from pmabench.plotting.wording import (
 )
 from pmabench.report.document.provenance import get, span
 from pmabench.report.document.tables import is_number, mappings
-from pmabench.report.foremost import costliest, left_out
+from pmabench.report.foremost import costliest, left_out, widest_half
 from pmabench.report.words import reverses
 from pmabench.store.analyses.results import Analysis, Curve, Estimate
 from pmabench.store.records import RunData
@@ -106,10 +105,10 @@ SMALL = 0.005
 
 @dataclass(frozen=True)
 class Bar:
-    """One coefficient: half width in per cent, pieces (cause, colour, share from 0 to 1), its largest single source."""
+    """One coefficient: half width in words, pieces (cause, colour, share from 0 to 1), its largest single source."""
 
     symbol: str
-    percent: str
+    half: str
     pieces: list[tuple[str, str, float]]
     largest: str
 
@@ -148,7 +147,7 @@ def _bar(e: Estimate) -> Bar:
     elif pieces:
         cause, _, share = max(pieces, key=lambda piece: piece[2])
         words = f"{cause}, {100 * share:.0f} %"
-    return Bar(symbol_text(e.symbol), half_width(100 * combined / abs(e.value or 1.0)), pieces, words)
+    return Bar(symbol_text(e.symbol), widest_half([e]), pieces, words)
 
 
 MOST_ROWS, MOST_COLUMNS = 9, 12

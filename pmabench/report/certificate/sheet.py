@@ -19,10 +19,9 @@ from pmabench.report.certificate import quality
 from pmabench.report.certificate.force_chart import force_picture, stroke_picture
 from pmabench.report.certificate.quality import Coverage, Sources, coverage, sources
 from pmabench.report.certificate.result_table import ResultTable, result_table
-from pmabench.report.coefficient_figures import coefficient_picture, surface_picture
 from pmabench.report.document import provenance
 from pmabench.report.document.tables import two_coordinates
-from pmabench.report.figures import front_pictures
+from pmabench.report.figures import coefficient_picture, front_pictures, surface_picture
 from pmabench.report.foremost import Verdict, how_well, left_out, tiles_of
 from pmabench.report.words import described, kind_title
 from pmabench.store.analyses.results import AGREEMENT, Analysis, Estimate, Trace

@@ -2,5 +2,5 @@
 
 - `content`, also as an HTML page, made of `provenance`, `deviations` (with notes, and a checklist), `tables`,
   `special_tables`; tables ready for any format: `grids`
-- `pdf`, `workbook`
+- `formats`: PDF and workbook
 """

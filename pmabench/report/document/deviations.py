@@ -113,7 +113,7 @@ MOST = 40_000_000
 
 @dataclass(frozen=True)
 class Said:
-    """One note."""
+    """What somebody noted during a run, with the files attached to it."""
 
     run: str
     """Short name of the run."""

@@ -53,7 +53,7 @@ TINY = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Test:
-    """A fit, its residual, and what noise allows."""
+    """The test of a fit: its residual, and that of trials left out of it, against what noise allows."""
 
     campaign: Campaign
     segments: Segments
