@@ -238,6 +238,11 @@ class Wiring:
         self.valves = {valve.output: valve for valve in device.valves}
         self.locks = {lock.input: lock for lock in device.interlocks}
 
+    @property
+    def first_output(self) -> str:
+        """Terminal of the bench's first output of this device; empty without one."""
+        return next(iter(self.outputs), "")
+
     def raw(self, terminal: str, quantities: Mapping[str, float], *, calibrated: bool = False) -> float:
         """Reading of a terminal for quantities of the plant [raw]; 0 without a wire."""
         if (channel := self.channels.get(terminal)) is None:
