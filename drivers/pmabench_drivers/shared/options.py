@@ -204,7 +204,7 @@ class Reader:
 
 
 def names_in(device: DeviceRecord) -> Iterator[tuple[str, Place, str]]:
-    """What a bench uses of a device: `input`, `output`, `valve` or `digital input`, its place, and the device's name."""
+    """What a bench uses of a device: `input`, `output`, `valve` or `digital input`, its place and its name."""
     for kind, group, key, records in (
         ("input", "channels", "input", device.channels),
         ("output", "outputs", "output", device.outputs),

@@ -1,6 +1,6 @@
 """A platform tilted about two axes by three muscles with two valves each: its motion for given valve openings.
 
-Geometry and signs are those of `model.library.platform`. Numbers are assumed; paper 3 prints only the arrangement.
+Geometry and signs are those of `model.library.joint`. Numbers are assumed; paper 3 prints only the arrangement.
 
 `PlatformPlant` adds the inputs and outputs of a control program: pulses, shut-off, dumps, an accelerometer, and faults.
 
@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from pmabench.model.library.daerden import rubber_force, section_factor
-from pmabench.model.library.platform import AROUND, allocation, gravity, platform_moment, pose
+from pmabench.model.library.joint import AROUND, allocation, gravity, platform_moment, pose
 from pmabench.model.many.joint import Braided, Valve, braided
 
 G = 9.81
