@@ -510,8 +510,8 @@ def _published(numbers: Mapping[str, Any], regulator: Regulator, noise: Noise, l
 
 
 def _real(numbers: Mapping[str, Any]) -> RealMuscle:
-    kinds = {"surface": Surface, "over_x": Stops, "over_P": Stops, "creep": Creep}
-    parts = {name: _record(kind, numbers[name]) for name, kind in kinds.items()}
+    kinds: dict[str, type] = {"surface": Surface, "over_x": Stops, "over_P": Stops, "creep": Creep}
+    parts: dict[str, Any] = {name: _record(kind, numbers[name]) for name, kind in kinds.items()}
     curves = {name: _curve(numbers[name]) for name in ("B_c", "B_r")}
     return _record(RealMuscle, {**numbers, **parts, **curves})
 

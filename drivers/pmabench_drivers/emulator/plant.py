@@ -213,11 +213,11 @@ class _Seen(RealPlant):
         self.proven = proven
 
     def quantities(self) -> dict[str, float]:
-        """As from the plant, unless the device is stuck."""
+        """The plant's quantities; of a stuck device those at which it stuck."""
         return self._shown(self._plant.quantities())
 
     def at(self, moment: float) -> dict[str, float]:
-        """As from the plant, unless the device is stuck."""
+        """The plant's quantities; of a stuck device those at which it stuck."""
         return self._shown(self._plant.at(moment))
 
     def _shown(self, found: dict[str, float]) -> dict[str, float]:

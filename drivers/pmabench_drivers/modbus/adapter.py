@@ -125,7 +125,7 @@ class _Tcp(ModbusTcpClient):
         return data
 
     def waiting(self) -> bytes:
-        """No bytes: after a lost answer the connection is closed."""
+        """Nothing: after a lost answer the connection is closed, so no bytes are left over."""
         return b""
 
     def cut(self) -> None:
