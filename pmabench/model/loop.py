@@ -25,7 +25,7 @@ class Loop:
     gain: float
     """k_g [m/Pa]."""
     dead_time: float
-    """L [s], including half a sample period for the hold, and the computation delay."""
+    """L [s], including half a sample period for the hold."""
     lags: tuple[complex, ...]
     """Time constants T_i [s]; a complex one comes with its conjugate."""
 
@@ -92,19 +92,18 @@ def muscle_loop(
     regulator_lag: float,
     dead_time: float,
     sample_period: float = 0.0,
-    delay: float = 0.0,
     mass: float = 0.0,
 ) -> Loop:
     """The loop that a controller sees at one operating point of a muscle behind a regulator.
 
     `gain` k_g [m/Pa] (see `sensitivity`), `K` [N/m], `B` [N.s/m], `regulator_lag` T_r [s], transport `dead_time` [s],
-    `sample_period` T_s [s] (the hold adds T_s/2), computation `delay` [s], moving `mass` M [kg]: M x'' + B x' + K x
+    `sample_period` T_s [s] (the hold adds T_s/2), moving `mass` M [kg]: M x'' + B x' + K x
     has the lags (B +- sqrt(B^2 - 4 M K)) / (2 K), tau = B/K without mass.
     """
     root = complex(B * B - 4.0 * mass * K) ** 0.5
     pair = ((B + root) / (2 * K), (B - root) / (2 * K))
     lags: list[complex] = [regulator_lag, *(lag.real if lag.imag == 0 else lag for lag in pair)]
-    return Loop(gain, dead_time + sample_period / 2 + delay, tuple(lag for lag in lags if lag != 0))
+    return Loop(gain, dead_time + sample_period / 2, tuple(lag for lag in lags if lag != 0))
 
 
 SPAN = 25e3

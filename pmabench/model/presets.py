@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -470,6 +470,7 @@ def tabulated_force(P: Sequence[float], F_ce: Sequence[float]) -> Curve:
     return Curve(lines, tuple(edges))
 
 
+T = TypeVar("T")
 COEFFICIENTS = ("F_ce", "K", "B_c", "B_r", "tau_r")
 
 
@@ -500,34 +501,25 @@ def _published(numbers: Mapping[str, Any], regulator: Regulator, noise: Noise, l
     """The setup of a muscle of paper 2 or 3; only the latter has hysteresis and volume."""
     from pmabench.model import published_muscles as published  # needs the library of models, which needs the presets
 
-    kind = published.DaerdenMuscle if numbers["law"] == "daerden" else published.ContractorMuscle
-    given = {one.name: numbers[one.name] for one in fields(kind) if one.name != "friction"}
-    low, high = numbers["reach"]
-    muscle = kind(**{**given, "reach": (float(low), float(high))})
     if numbers["law"] == "contractor":
-        return Setup(muscle, regulator, noise, lag)
+        return Setup(_record(published.ContractorMuscle, numbers), regulator, noise, lag)
+    muscle = _record(published.DaerdenMuscle, numbers)
     loop = numbers["hysteresis"]
     hysteresis = loop and Hysteresis(float(loop["height"]), float(loop["width"]) * muscle.length)
     return Setup(muscle, regulator, noise, lag, hysteresis, _air_of(numbers["flow"], regulator))
 
 
 def _real(numbers: Mapping[str, Any]) -> RealMuscle:
-    low, high = numbers["reach"]
-    over_x, over_P = (
-        Stops(**{**stops, "widths": tuple(stops["widths"]), "weights": tuple(stops["weights"])})
-        for stops in (numbers["over_x"], numbers["over_P"])
-    )
-    return RealMuscle(
-        name=str(numbers["name"]),
-        length=float(numbers["length"]),
-        surface=Surface(**numbers["surface"]),
-        B_c=_curve(numbers["B_c"]),
-        B_r=_curve(numbers["B_r"]),
-        over_x=over_x,
-        over_P=over_P,
-        creep=Creep(numbers["creep"]["share"], tuple(numbers["creep"]["times"])),
-        reach=(float(low), float(high)),
-    )
+    kinds: dict[str, type] = {"surface": Surface, "over_x": Stops, "over_P": Stops, "creep": Creep}
+    parts: dict[str, Any] = {name: _record(kind, numbers[name]) for name, kind in kinds.items()}
+    curves = {name: _curve(numbers[name]) for name in ("B_c", "B_r")}
+    return _record(RealMuscle, {**numbers, **parts, **curves})
+
+
+def _record(kind: type[T], numbers: Mapping[str, Any]) -> T:
+    """The record of a kind from plain data, which may hold more; without friction, which these muscles do not have."""
+    given = {one.name: numbers[one.name] for one in fields(kind) if one.name in numbers and one.name != "friction"}  # type: ignore[arg-type]
+    return kind(**{name: tuple(value) if isinstance(value, list) else value for name, value in given.items()})
 
 
 def _air_of(flow: Mapping[str, Any] | None, regulator: Regulator) -> Air | None:

@@ -49,12 +49,11 @@ class RunWriter:
     `append` and `event` may be called from several threads, not from a signal handler.
     """
 
-    def __init__(self, folder: Path, manifest: Mapping[str, Any], events: files.AppendFile) -> None:
+    def __init__(self, folder: Path, events: files.AppendFile) -> None:
         """Use `RunWriter.create`."""
         self.folder = folder
         self.waits = False
         """Whether samples can wait for the disk, as in virtual time."""
-        self._manifest = manifest
         self._events = events
         self._lines: list[bytes] = []
         self._seq = 0
@@ -114,7 +113,7 @@ class RunWriter:
             if isinstance(error, InvalidFile):
                 raise
             raise files.cannot_write(folder, error) from error
-        return cls(folder, full, events)
+        return cls(folder, events)
 
     def open_stream(self, name: str, columns: Sequence[Mapping[str, Any]], rate: float) -> None:
         """Begin a stream of one device with its columns as `asdict(ChannelRecord)` and its rate [Hz, 0: irregular]."""

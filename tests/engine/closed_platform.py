@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import random
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,6 +16,8 @@ from pmabench.model.many.platform import PlatformPlant
 
 DEG, PERIOD = math.pi / 180, 0.002
 STEP_AT = 1.0
+NOISE = 0.02
+"""Standard deviation of each axis of the accelerometer [m/s2]."""
 
 
 @dataclass
@@ -42,12 +45,16 @@ class Course:
         }
 
 
+def _noise(channel: str, chance: random.Random) -> float:
+    return chance.gauss(0.0, NOISE) if channel.startswith("acceleration") else 0.0
+
+
 def closed_loop(
     goals: list[tuple[float, float, float]], seed: int, *, lasts: float = 5.0, plant: PlatformPlant | None = None,
     **law: Any,
 ) -> Course:  # fmt: skip
     """From level at 2.5 bar to `goals` (time after the first step [s], phi, psi [deg])."""
-    plant = plant or PlatformPlant(seed=seed)
+    plant, chance = plant or PlatformPlant(), random.Random(seed)
     loop = PlatformLoop(
         goals=[(0.0, 0.0, 0.0), *((STEP_AT + t, phi * DEG, psi * DEG) for t, phi, psi in goals)],
         duration=STEP_AT + lasts, **law,
@@ -56,7 +63,7 @@ def closed_loop(
     for number in range(1, round((STEP_AT + lasts) / PERIOD) + 1):
         plant.advance(number * PERIOD)
         t = plant.time - STEP_AT
-        values = plant.measure()
+        values = {name: value + _noise(name, chance) for name, value in plant.measure().items()}
         orders: Orders = loop.update(plant.time, values)
         why = watch.look(plant.time, values, orders)
         if why:

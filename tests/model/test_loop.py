@@ -49,7 +49,7 @@ def plant_51(x_mm: float, T_r: float) -> Loop:
     gain = sensitivity(1.08, K, 1e-3 + 2 * 9.7e-6 * low, x_mm) * 1e-6
     return muscle_loop(
         gain=gain, K=K * 1e3, B=(1.2 + 1.6e-3 * low) * 1e3,
-        regulator_lag=T_r, dead_time=0.04, sample_period=0.002, delay=0.002,
+        regulator_lag=T_r, dead_time=0.042, sample_period=0.002,
     )  # fmt: skip
 
 

@@ -13,9 +13,9 @@ from pmabench.cli.main import main
 from pmabench.files.document import read_document
 from pmabench.store.importers.guess.columns import unit_in
 from pmabench.store.importers.guess.layout import guess_layout
-from pmabench.store.importers.guess.signs import sine_of
 from pmabench.store.importers.guess.write import map_text, still_open
 from pmabench.store.importers.map_file import dotted, left_open
+from pmabench.store.importers.motion import only_sine
 from pmabench.store.reader import open_run
 from tests.importing import guess_files, import_files, read_map
 from tests.recorded import recorded_data
@@ -346,9 +346,9 @@ def test_names_full_of_markup_stay_text_in_the_map(tmp_path):
 
 def test_a_sine_is_distinguished_from_steps_and_noise():
     t = np.arange(0, 10, 0.01)
-    assert sine_of(t, 3 + np.sin(2 * np.pi * 1.5 * t)) == pytest.approx(1.5, abs=0.06)
-    assert sine_of(t, np.sign(np.sin(2 * np.pi * 0.5 * t))) == 0
-    assert sine_of(t, np.random.default_rng(1).normal(size=len(t))) == 0
+    assert only_sine(t, 3 + np.sin(2 * np.pi * 1.5 * t)) == pytest.approx(1.5, abs=0.06)
+    assert only_sine(t, np.sign(np.sin(2 * np.pi * 0.5 * t))) == 0
+    assert only_sine(t, np.random.default_rng(1).normal(size=len(t))) == 0
 
 
 def test_the_picture_goes_from_low_to_high():

@@ -182,13 +182,9 @@ def read_options(device: DeviceRecord, reader: Reader) -> Options:
     }
     if options.filter and not model.decimates:
         reader.fault((*place, "filter"), f"a {model.name} has nothing to average: it samples no faster than it sends")
-    if device.guarded:
-        reader.fault((), "only what this device measures is used; it has no outputs, valves, interlocks or watchdog")
+    reader.measures_only(device, "the device", "V")
     for channel in device.channels:
-        at = ("channels", channel.name)
-        reader.known((*at, "input"), "the device has no input", channel.input, INPUTS)
-        if channel.raw_unit != "V":
-            reader.fault(at, f'the device gives V, and the channel has "{channel.raw_unit}"')
+        reader.known(("channels", channel.name, "input"), "the device has no input", channel.input, INPUTS)
     return replace(options, ranges=codes)
 
 

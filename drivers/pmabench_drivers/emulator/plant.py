@@ -213,11 +213,11 @@ class _Seen(RealPlant):
         self.proven = proven
 
     def quantities(self) -> dict[str, float]:
-        """As from the plant, unless the device is stuck."""
+        """The plant's quantities; of a stuck device those at which it stuck."""
         return self._shown(self._plant.quantities())
 
     def at(self, moment: float) -> dict[str, float]:
-        """As from the plant, unless the device is stuck."""
+        """The plant's quantities; of a stuck device those at which it stuck."""
         return self._shown(self._plant.at(moment))
 
     def _shown(self, found: dict[str, float]) -> dict[str, float]:
@@ -237,6 +237,11 @@ class Wiring:
         self.outputs = {output.output: output for output in device.outputs}
         self.valves = {valve.output: valve for valve in device.valves}
         self.locks = {lock.input: lock for lock in device.interlocks}
+
+    @property
+    def first_output(self) -> str:
+        """Terminal of the bench's first output of this device; empty without one."""
+        return next(iter(self.outputs), "")
 
     def raw(self, terminal: str, quantities: Mapping[str, float], *, calibrated: bool = False) -> float:
         """Reading of a terminal for quantities of the plant [raw]; 0 without a wire."""

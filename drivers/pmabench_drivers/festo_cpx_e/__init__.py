@@ -23,6 +23,7 @@ from pmabench_drivers.festo_cpx_e.terminal import DONE, STATUS, TIMEOUT, CpxOpti
 from pmabench_drivers.modbus import CALL, LATE, OPEN, ModbusDevice
 from pmabench_drivers.modbus.registers import Register, decode
 from pmabench_drivers.shared.link import Cycle
+from pmabench_drivers.shared.options import names_in
 
 if TYPE_CHECKING:
     from pmabench_drivers.modbus.adapter import Line, NamedLine
@@ -57,9 +58,7 @@ class FestoCpxE(ModbusDevice):
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         super().__init__(device, clock)
         self._terminal = self._options.terminal
-        names = {item.input for item in device.channels} | {item.output for item in device.outputs}
-        names |= {valve.output for valve in device.valves} | {lock.input for lock in device.interlocks}
-        positions = {self._terminal.module_of(name).position for name in names}
+        positions = {self._terminal.module_of(name).position for _kind, _place, name in names_in(device)}
         self._used = [module for module in self._terminal.modules if module.position in positions]
         self._alive = Cycle(f"keep alive {device.name}", self._keep_alive, clock)
         self._compared = False

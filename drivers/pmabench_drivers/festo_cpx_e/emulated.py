@@ -160,11 +160,11 @@ class EmulatedTerminal(frames.NamedRegisters):
     def change_set_point(self, value: float) -> bool:
         """Write the first analogue output [count], as another program would; returns whether there is one."""
         with self._lock:
-            for name in list(self._wiring.outputs)[:1]:
+            if name := self._wiring.first_output:
                 address = self._written[name].address
                 self._put(address, round(value) & 0xFFFF)
                 self._put_out(address, 0)
-            return bool(self._wiring.outputs)
+            return bool(name)
 
     # -- the end of the time-out ----------------------------------------------------------------------------------
 

@@ -54,8 +54,6 @@ class Decoder:
         self._value: list[int] = []
         self._code = -1
         self._skip = 0
-        self.invalid = 0
-        """Number of bytes out of place."""
 
     def feed(self, data: bytes) -> list[tuple[int, int]]:
         """Measurements that end in `data`: code of the distance and counter, 18 bits each."""
@@ -84,7 +82,6 @@ class Decoder:
         return found
 
     def _restart(self) -> None:
-        self.invalid += 1
         self._value, self._code = [], -1
         self._skip = 2
 
@@ -169,13 +166,9 @@ def read_options(device: DeviceRecord, reader: Reader) -> Options:
     rate = options.rate
     if rate * BITS > options.baud:
         reader.fault((*place, "rate"), f"{rate:g} distances a second with their counter need {rate * BITS:g} baud")
-    if device.guarded:
-        reader.fault((), "a laser only measures; it has no outputs, valves, interlocks or watchdog")
+    reader.measures_only(device, "the sensor", "mm")
     for channel in device.channels:
-        at = ("channels", channel.name)
-        reader.known((*at, "input"), "the sensor has no input", channel.input, [INPUT])
-        if channel.raw_unit != "mm":
-            reader.fault(at, f'the sensor gives mm, and the channel has "{channel.raw_unit}"')
+        reader.known(("channels", channel.name, "input"), "the sensor has no input", channel.input, [INPUT])
     return options
 
 

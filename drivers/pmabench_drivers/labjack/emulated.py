@@ -374,9 +374,9 @@ class T7:
     def change_set_point(self, value: float) -> bool:
         """Command the first DAC of the bench [V], as another program would; returns whether there is one."""
         with self._lock:
-            for name in list(self._wiring.outputs)[:1]:
+            if name := self._wiring.first_output:
                 self._set_dac(r.DAC + 2 * r.DACS.index(name), value, 0)
-            return bool(self._wiring.outputs)
+            return bool(name)
 
     def look_at_watchdog(self) -> None:
         """Set DACs and lines if the watchdog was not cleared within its time."""

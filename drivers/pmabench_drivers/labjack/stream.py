@@ -30,7 +30,7 @@ from dataclasses import dataclass
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import Block
-from pmabench_drivers.shared.link import Pace, Samples
+from pmabench_drivers.shared.link import Pace, Samples, reason
 
 FLASH = 0x3C4000
 """Address of the constants in the device's flash."""
@@ -191,7 +191,7 @@ class StreamLink:
         try:
             self._socket = socket.create_connection(address, timeout=max(wait, 0.001))
         except OSError as error:
-            why = (error.strerror or str(error)).lower()
+            why = reason(error).lower()
             raise DeviceError(device, f"no connection to {where}, where the stream comes from: {why}") from None
 
     def begin(self, rate: float, scans: int, tables: Sequence[array[float]]) -> None:
@@ -240,7 +240,7 @@ class StreamLink:
         except StreamBroken as error:
             self._failure = str(error)
         except OSError as error:
-            self._failure = f"the connection was lost ({(error.strerror or str(error)).lower()})"
+            self._failure = f"the connection was lost ({reason(error).lower()})"
 
     def _keep(self, scans: Scans, arrived: float) -> None:
         width, rate = len(self._tables), self._rate

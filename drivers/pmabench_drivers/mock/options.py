@@ -10,7 +10,7 @@ from typing import Any
 from pmabench.base.errors import DeviceError, did_you_mean
 from pmabench.bench.interface import DeviceRecord, OutputRecord
 from pmabench.model.overrides import Overrides
-from pmabench_drivers.shared.options import Place, Reader
+from pmabench_drivers.shared.options import Place, Reader, names_in
 
 HERE: Place = ("options",)
 ANGLE = "angle"
@@ -302,15 +302,14 @@ def _check_plant(reader: Reader, options: Options, overrides: Sequence[str]) -> 
 
 
 def _check_names(device: DeviceRecord, reader: Reader, options: Options) -> None:
-    known, places = inputs_of(options.free_end, options.plant), outputs_of(options.free_end, options.plant)
-    named: list[tuple[Place, str, str, Sequence[str]]] = []
-    named += [(("channels", channel.name, "input"), "input", channel.input, known) for channel in device.channels]
-    named += [(("outputs", output.name, "output"), "output", output.output, places) for output in device.outputs]
-    there_are = VALVES_OF.get(options.plant, VALVES)
-    named += [(("outputs", valve.name, "output"), "valve", valve.output, there_are) for valve in device.valves]
-    named += [(("interlocks", each.name, "input"), "digital input", each.input, [E_STOP]) for each in device.interlocks]
-    for place, what, name, there in named:
-        reader.known(place, f"no {what}", name, there)
+    there: dict[str, Sequence[str]] = {
+        "input": inputs_of(options.free_end, options.plant),
+        "output": outputs_of(options.free_end, options.plant),
+        "valve": VALVES_OF.get(options.plant, VALVES),
+        "digital input": [E_STOP],
+    }
+    for what, place, name in names_in(device):
+        reader.known(place, f"no {what}", name, there[what])
 
 
 def _names(kind: Any) -> list[str]:

@@ -382,7 +382,7 @@ class PlatformSimulation(Sampled):
     def __init__(self, device: DeviceRecord, options: Options, start: float, memory: float = MEMORY) -> None:
         super().__init__(device, options, PLATFORM_NOISE, memory)
         height = options.built.get("accelerometer", HEIGHT)
-        self._plant = PlatformPlant(platform.described(options.built), state=(0.0,) * 10, height=height, noise=0.0)
+        self._plant = PlatformPlant(platform.described(options.built), state=(0.0,) * 10, height=height)
         self._dumps = [valve.output for valve in device.valves if valve.output in o.DUMPS] or [o.DUMP_VALVE]
         self._plant.time = start
         self._settle()

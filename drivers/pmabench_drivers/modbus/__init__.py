@@ -59,7 +59,7 @@ class Watched(Polled):
         """Write a register before a deadline [s, monotonic]; then read it back if `checked`."""
 
     def _heard(self) -> float:
-        """When it last answered [s, monotonic], if known."""
+        """Time of its last answer [s, monotonic]; -inf if it keeps none."""
         return -math.inf
 
     def _called(self) -> float:

@@ -29,7 +29,7 @@ from pymodbus.framer import FramerRTU  # noqa: TID253
 from pmabench.base.errors import DeviceError, NotSent
 from pmabench.bench.interface import COMPUTER, Identity
 from pmabench_drivers.modbus.registers import BIT_TABLES, READ
-from pmabench_drivers.shared.link import Still, Unanswered, always, turn, who
+from pmabench_drivers.shared.link import Still, Unanswered, always, reason, turn, who
 
 for _name in ("pymodbus.logging", "pymodbus_logging"):
     logging.getLogger(_name).setLevel(logging.CRITICAL)  # its messages are also raised here
@@ -110,7 +110,7 @@ class _Tcp(ModbusTcpClient):
                 self._ready = select.poll()
                 self._ready.register(self.socket, select.POLLIN)
             except OSError as error:
-                self.why = f"{(error.strerror or str(error)).lower()}: is it switched on, and is the address right?"
+                self.why = f"{reason(error).lower()}: is it switched on, and is the address right?"
         return self.socket is not None
 
     def recv(self, size: int | None) -> bytes:
@@ -125,7 +125,7 @@ class _Tcp(ModbusTcpClient):
         return data
 
     def waiting(self) -> bytes:
-        """No bytes: after a lost answer the connection is closed."""
+        """Nothing: after a lost answer the connection is closed, so no bytes are left over."""
         return b""
 
     def cut(self) -> None:

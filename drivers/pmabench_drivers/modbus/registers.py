@@ -18,7 +18,7 @@ from importlib.resources import files
 from typing import Any
 
 from pmabench.bench.interface import DeviceRecord, OutputRecord
-from pmabench_drivers.shared.options import BAUDS, PARITIES, Place, Reader, option
+from pmabench_drivers.shared.options import BAUDS, PARITIES, Place, Reader, names_in, option
 
 TABLES = ("holding", "input", "coil", "discrete")
 BIT_TABLES = ("coil", "discrete")
@@ -317,14 +317,10 @@ def _names(device: DeviceRecord, map_: RegisterMap, reader: Reader) -> None:
 
     No two channels or outputs share a register, whatever its names in the map: that would be a copied line.
     """
-    uses = [("channels", each.name, "input", each.input) for each in device.channels]
-    uses += [("outputs", each.name, "output", each.output) for each in device.outputs]
-    uses += [("outputs", valve.name, "output", valve.output) for valve in device.valves]
-    uses += [("interlocks", lock.name, "input", lock.input) for lock in device.interlocks]
     used: dict[tuple[Any, ...], str] = {}
-    for group, name, way, at in uses:
-        place, known = (group, name, way), map_.inputs if way == "input" else map_.outputs
-        if not reader.known(place, f"the map has no {way}", at, known) or group == "interlocks":
+    for kind, place, at in names_in(device):
+        group, known = place[0], map_.inputs if place[-1] == "input" else map_.outputs
+        if not reader.known(place, f"the map has no {place[-1]}", at, known) or kind == "digital input":
             continue
         register = known[at]
         first = used.setdefault((group, register.table, register.address, register.bit), at)

@@ -168,9 +168,9 @@ class Board:
     def change_set_point(self, value: float) -> bool:
         """Set the first output that the bench uses [V], as another program would; returns whether there is one."""
         with self.lock:
-            for name in list(self._wiring.outputs)[:1]:
+            if name := self._wiring.first_output:
                 self._wiring.give(name, self._reached(name, value))
-        return bool(self._wiring.outputs)
+            return bool(name)
 
     # -- samples ----------------------------------------------------------------------------------------------------
 

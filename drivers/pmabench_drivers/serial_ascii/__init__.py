@@ -175,8 +175,7 @@ def read_options(device: DeviceRecord, reader: Reader) -> Options:
 
 
 def _channels(device: DeviceRecord, options: Options, reader: Reader, *, known: bool) -> None:
-    if device.guarded:
-        reader.fault((), "an indicator only measures; it has no outputs, valves, interlocks or watchdog")
+    reader.measures_only(device, "an indicator")
     inputs = inputs_of(options.pattern)
     for channel in device.channels:
         if known:

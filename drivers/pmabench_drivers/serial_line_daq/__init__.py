@@ -25,7 +25,7 @@ from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import Block, DeviceRecord, Identity
 from pmabench_drivers.shared.device import Led
 from pmabench_drivers.shared.link import JOIN, Samples, Still, Unanswered, always, opened, turn, who
-from pmabench_drivers.shared.options import BAUDS, Reader
+from pmabench_drivers.shared.options import BAUDS, Reader, names_in
 from pmabench_drivers.shared.serial_port import SerialPort, Splitter, readable
 
 END = b"\n"
@@ -34,6 +34,7 @@ VERSION = "1"
 MOST = {"a": 6, "d": 6, "o": 4, "v": 4}
 """Largest number of inputs, levels, outputs and valves of a board, by the letter of their names (`a0`, `d0` ...)."""
 NAMES = {"a": "count input", "d": "digital input", "o": "output", "v": "valve"}
+LETTERS = {"input": "a", "digital input": "d", "output": "o", "valve": "v"}
 ARMED, VENTED, LEVELS = 1, 2, 2
 """Bits of the state: watchdog armed, vented by the watchdog; the levels follow from bit 2 on."""
 REASONS = {
@@ -145,19 +146,18 @@ def read_options(device: DeviceRecord, reader: Reader) -> int:
     given = reader.keys(device.options, ("options",), ("baud",))
     reader.port(device, "/dev/ttyACM0")
     baud = reader.one_of(given, "baud", ("options",), KNOWN_BAUDS, BAUD)
-    for channel in device.channels:
-        _named(reader, ("channels", channel.name, "input"), channel.input, "a")
-    for interlock in device.interlocks:
-        _named(reader, ("interlocks", interlock.name, "input"), interlock.input, "d")
+    for kind, place, name in names_in(device):
+        letter = LETTERS[kind]
+        if index_of(name, letter) is None:
+            known = f"{letter}0 to {letter}{MOST[letter] - 1}"
+            reader.fault(place, f'a {NAMES[letter]} of the board is expected, {known}, not "{name}"')
     for output in device.outputs:
         place = "outputs", output.name
-        _named(reader, (*place, "output"), output.output, "o")
         if output.resolution < 1 or output.resolution != round(output.resolution):
             reader.fault(place, 'the board takes whole counts: "resolution: 1 count" is expected')
         if abs(float(output.scale.to_raw(output.safe))) > 1e-6:
             reader.fault(place, "the board vents to 0 counts: the scale must have the safe value there")
     for valve in device.valves:
-        _named(reader, ("outputs", valve.name, "output"), valve.output, "v")
         if valve.energised == valve.safe:
             message = f'the board vents with its valves off: "{valve.name}" must be {valve.safe} without power'
             reader.fault(("outputs", valve.name, "energised"), message)
@@ -169,12 +169,6 @@ def read_options(device: DeviceRecord, reader: Reader) -> int:
     elif device.watchdog and not shortest <= device.watchdog <= longest:
         reader.fault(("watchdog",), f"the board's watchdog takes {shortest * 1e3:g} ms to {longest:g} s")
     return baud
-
-
-def _named(reader: Reader, place: tuple[str, ...], name: str, letter: str) -> None:
-    if index_of(name, letter) is None:
-        last = MOST[letter] - 1
-        reader.fault(place, f'a {NAMES[letter]} of the board is expected, {letter}0 to {letter}{last}, not "{name}"')
 
 
 CALL = 0.17
@@ -202,8 +196,6 @@ class Link(SerialPort):
         self._waiting: dict[int, SimpleQueue[list[str]]] = {}
         self._number = random.randrange(1 << 20)
         self._splitter = Splitter(END, whole=True)  # an incomplete line has a wrong checksum
-        self.invalid = 0
-        """Number of unreadable lines."""
         self.last = ""
         """The last unreadable line."""
         self.listen(self._read)
@@ -243,7 +235,6 @@ class Link(SerialPort):
             try:
                 self._take(decode(line.rstrip(b"\r")), now)
             except NoLine as error:
-                self.invalid += 1
                 self.last = f'{error}: "{readable(line)}"'
 
     def _take(self, fields: list[str], now: float) -> None:
@@ -322,13 +313,10 @@ class SerialLineDaq(Led):
         _protocol, version, model, serial, *numbers = answer
         *counts, self._full_scale, self._shortest = map(int, numbers)
         self._has = dict(zip(NAMES, counts, strict=True))
-        record = self._device
-        wanted = [("a", channel.input) for channel in record.channels]
-        wanted += [("d", lock.input) for lock in record.interlocks] + [("v", valve.output) for valve in record.valves]
-        for letter, name in [*wanted, *(("o", output.output) for output in record.outputs)]:
-            self._index(name, letter)
+        for kind, _place, name in names_in(self._device):
+            self._index(name, LETTERS[kind])
         if not 0 < self._shortest <= 10_000_000:
-            raise DeviceError(record.name, f"says that its shortest period is {self._shortest} us")
+            raise self._error(f"says that its shortest period is {self._shortest} us")
         return who("", model, serial, f"{PROTOCOL} {version}")
 
     # -- samples --------------------------------------------------------------------------------------------------

@@ -69,10 +69,10 @@ class EmulatedBoard(OnTerminal):
 
     def change_set_point(self, value: float) -> bool:
         """Set another value of the first output [count]; returns whether there is one."""
-        for name in list(self._wiring.outputs)[:1]:
+        if name := self._wiring.first_output:
             self._held[name] = round(value)
             self._wiring.give(name, value)
-        return bool(self._wiring.outputs)
+        return bool(name)
 
     # -- the program ----------------------------------------------------------------------------------------------
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import field, fields
 from ipaddress import ip_address
 from typing import Any, Concatenate, ParamSpec, TypeVar
@@ -136,14 +136,20 @@ class Reader:
 
     def lines(self, device: DeviceRecord, numbers: Mapping[str, int], more: str) -> None:
         """Check that valves and interlocks each have their own digital line; `numbers` are those of all names."""
-        places: list[tuple[Place, str]] = [(("outputs", valve.name, "output"), valve.output) for valve in device.valves]
-        places += [(("interlocks", lock.name, "input"), lock.input) for lock in device.interlocks]
         seen: dict[int, str] = {}
-        for place, name in places:
-            if self.known(place, "no digital line", name, numbers, more):
+        for kind, place, name in names_in(device):
+            if kind in ("valve", "digital input") and self.known(place, "no digital line", name, numbers, more):
                 if numbers[name] in seen:
                     self.fault(place, f"{name} is in use by {seen[numbers[name]]}")
                 seen.setdefault(numbers[name], str(place[1]))
+
+    def measures_only(self, device: DeviceRecord, who: str, unit: str = "") -> None:
+        """Check that the bench commands nothing of the device, and that its channels have the device's `unit`."""
+        if device.guarded:
+            self.fault((), f"{who} only measures; it has no outputs, valves, interlocks or watchdog")
+        for channel in device.channels:
+            if unit and channel.raw_unit != unit:
+                self.fault(("channels", channel.name), f'{who} gives {unit}, and the channel has "{channel.raw_unit}"')
 
     def port(self, device: DeviceRecord, example: str) -> None:
         """Check that the address is that of a serial port."""
@@ -195,6 +201,18 @@ class Reader:
             self.fault((*place, key), f"{value} is outside {low:g} to {high:g} {next(iter(UNITS[kind]))}")
             return default
         return number
+
+
+def names_in(device: DeviceRecord) -> Iterator[tuple[str, Place, str]]:
+    """What a bench uses of a device: `input`, `output`, `valve` or `digital input`, its place and its name."""
+    for kind, group, key, records in (
+        ("input", "channels", "input", device.channels),
+        ("output", "outputs", "output", device.outputs),
+        ("valve", "outputs", "output", device.valves),
+        ("digital input", "interlocks", "input", device.interlocks),
+    ):
+        for record in records:
+            yield kind, (group, record.name, key), getattr(record, key)
 
 
 def option(

@@ -8,8 +8,7 @@
 | `three_element` | balance, step, release; conventions of papers 0, 1 and 4 |
 | `coefficients` | published coefficients over pressure; parabolas and polynomials with your own |
 | `chamber` | rate of pressure, closed and driven chamber |
-| `joint` | two muscles that pull on a pulley against each other: torque, stiffness, pressures for both |
-| `platform` | three muscles under a tilting platform: moments and stiffness |
+| `joint` | two muscles on a pulley against each other, three under a tilting platform: moments and stiffness |
 | `compositions` | parallel, series, cascade; the loop that a controller sees |
 
 `description` defines a model. A new model is a function decorated with `described`, in one of these modules or in
@@ -26,7 +25,6 @@ from pmabench.model.library import (  # noqa: F401  each enters its models
     contractor,
     daerden,
     joint,
-    platform,
     three_element,
 )
 from pmabench.model.library.description import FAMILIES, MODELS, Model, OutsideDomain, Parameter, Refusal, check

@@ -55,61 +55,6 @@ def three_element(
 
 
 @described(
-    "three-element-strain", FAMILY, "The same per strain, as paper 4 writes it, without its mixed units",
-    equation=("M L0 h'' + B_h h' + K_h h = F_ce - F_L;  h = x / L0;  K = K_h / L0;  B = B_h / L0",),
-    source="paper 4 eq. 1, with L0 put in",
-    parameters=(
-        FORCE_CE, LOAD,
-        Parameter("strain_stiffness", "K_h", "force", 1693.25, "force by strain", 0.0, above=True),
-        Parameter(
-            "strain_damping", "B_h", "impulse", 420.0, "force by rate of strain", 0.0, 1e9,
-            "damping is never negative",
-        ),
-        MASS,
-        Parameter("nominal_length", "L0", "length", 250 * MM, "nominal length", 0.0, above=True),
-        Parameter("contraction", "h", "ratio", 0.08, "strain x / L0", 0.0, 1.0, "it is stretched"),
-        Parameter("contraction_rate", "h'", "rate", 0.0, "rate of strain"),
-    ),
-    outputs=(
-        Output("strain_acceleration", "h''", "count", "second derivative of the strain [1/s2]"),
-        Output("acceleration", "x''", "acceleration", "the same as acceleration"),
-        Output("stiffness", "K", "stiffness", "K_h / L0"),
-        Output("damping", "B", "damping", "B_h / L0"),
-    ),
-    references=(
-        Reference("acceleration", "279.08", "m/s2", 1.0, "three-element with K = 6.773 N/mm, x = 20 mm"),
-        Reference("stiffness", "6.773", "N/mm", 1e3, "by hand"),
-        Reference("damping", "1.68", "N.s/mm", 1e3, "by hand"),
-    ),
-    notes=(
-        "Paper 4 adds mass times acceleration to terms in strain, which has no unit that fits, and leaves the "
-        "load out.",
-    ),
-)  # fmt: skip
-def three_element_strain(
-    force_ce: Array,
-    load: Array,
-    strain_stiffness: Array,
-    strain_damping: Array,
-    mass: Array,
-    nominal_length: Array,
-    contraction: Array,
-    contraction_rate: Array,
-) -> Values:
-    """Outputs h'' [1/s2], x'' [m/s2], K [N/m], B [N.s/m] from the strain.
-
-    Inputs: forces and K_h [N], B_h [N.s], M [kg], L0 [m], h [1] and h' [1/s].
-    """
-    force = force_ce - load - strain_stiffness * contraction - strain_damping * contraction_rate
-    return {
-        "strain_acceleration": force / (mass * nominal_length),
-        "acceleration": force / mass + 0 * nominal_length,
-        "stiffness": strain_stiffness / nominal_length,
-        "damping": strain_damping / nominal_length,
-    }
-
-
-@described(
     "step-response", FAMILY, "Contraction after a step of pressure from rest, without mass",
     equation=("x = x_inf (1 - exp(-(t - t_d) / tau)) for t >= t_d, else 0;  x_inf = (F_ce - F_L) / K;  tau = B / K",),
     source="paper 0, contraction study; paper 1: closed form of the equation without mass",

@@ -152,13 +152,13 @@ class JointPlant:
     """Simulation of a joint; `time` [s], `angle` [rad], `turn` [rad/s].
 
     With a course (`drive`) its angle follows that, and the drive has to hold against `torque`; without one it moves
-    freely, with an external torque `external` [N m] towards positive angles.
+    freely.
     """
 
     def __init__(self, joint: Joint, pressures: tuple[float, float] = (0.0, 0.0), start: float = 0.0) -> None:
         self.joint = joint
         self.supplies = tuple(Regulated(joint.regulator, P, start) for P in pressures)
-        self.time, self.angle, self.turn, self.external = start, 0.0, 0.0, 0.0
+        self.time, self.angle, self.turn = start, 0.0, 0.0
         self.strains = (0.0, 0.0)
         self._course: tuple[Wave, ...] = ()
 
@@ -229,5 +229,5 @@ class JointPlant:
 
     def _acceleration(self, angle: float, turn: float, t: float, strains: tuple[float, float]) -> float:
         j = self.joint
-        torque = j.torque(angle, turn, self._pressures(t), strains) + self.external
+        torque = j.torque(angle, turn, self._pressures(t), strains)
         return (torque - j.damping * turn - j.hanging * math.sin(angle)) / j.inertia

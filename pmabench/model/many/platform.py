@@ -1,6 +1,6 @@
 """A platform tilted about two axes by three muscles with two valves each: its motion for given valve openings.
 
-Geometry and signs are those of `model.library.platform`. Numbers are assumed; paper 3 prints only the arrangement.
+Geometry and signs are those of `model.library.joint`. Numbers are assumed; paper 3 prints only the arrangement.
 
 `PlatformPlant` adds the inputs and outputs of a control program: pulses, shut-off, dumps, an accelerometer, and faults.
 
@@ -12,7 +12,6 @@ inverse muscle, valves. A real platform has its own numbers.
 from __future__ import annotations
 
 import math
-import random
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -20,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from pmabench.model.library.daerden import rubber_force, section_factor
-from pmabench.model.library.platform import AROUND, allocation, gravity, platform_moment, pose
+from pmabench.model.library.joint import AROUND, allocation, gravity, platform_moment, pose
 from pmabench.model.many.joint import Braided, Valve, braided
 
 G = 9.81
@@ -135,14 +134,9 @@ class PlatformPlant:
     Parameters
     ----------
     height : height of the accelerometer above the joint [m]
-    noise : standard deviation of the noise of each of its axes [m/s2]
-    seed : seed of the noise
     """
 
-    def __init__(
-        self, platform: Platform | None = None, *, state: State = LEVEL, height: float = 0.02, noise: float = 0.02,
-        seed: int = 0,
-    ) -> None:  # fmt: skip
+    def __init__(self, platform: Platform | None = None, *, state: State = LEVEL, height: float = 0.02) -> None:
         self.platform = platform or Platform()
         self.state, self.time = state, 0.0
         self.supply, self.dump = True, False
@@ -152,13 +146,13 @@ class PlatformPlant:
         self.holes = [0.0] * 3
         """Size of a burst of each muscle [exhaust valves]."""
         self.shows_level = False
-        """Fault: whether the accelerometer shows a level platform, with noise."""
+        """Fault: whether the accelerometer shows a level platform."""
         self.blocked: tuple[int, ...] = ()
         """Fault: muscles, from 0, whose dump does not open."""
-        self.openings = {(kind, i): 0 for kind in ("fill", "exhaust") for i in MUSCLES}
-        """Number of openings of each valve."""
-        self._open: dict[tuple[str, int], list[tuple[float, float]]] = {key: [] for key in self.openings}
-        self._height, self._noise, self._chance = height, noise, random.Random(seed)
+        self._open: dict[tuple[str, int], list[tuple[float, float]]] = {
+            (kind, i): [] for kind in ("fill", "exhaust") for i in MUSCLES
+        }
+        self._height = height
 
     def pulse(self, kind: str, muscle: int, seconds: float) -> None:
         """Open a valve now for `seconds` [s]; an open one stays open until the later end."""
@@ -168,7 +162,6 @@ class PlatformPlant:
             mine[-1] = (mine[-1][0], max(end, mine[-1][1]))
             return
         mine.append((begin, end))
-        self.openings[kind, muscle] += 1
 
     def shut(self, kind: str, muscle: int) -> None:
         """End the pulse of a valve; an open one shuts after its delay."""
@@ -194,18 +187,11 @@ class PlatformPlant:
     def measure(self) -> dict[str, float]:
         """Present gauge pressures [Pa] and specific forces [m/s2] by channel name."""
         found = {f"pressure_{i + 1}": self.state[4 + i] for i in MUSCLES}
-        return found | dict(zip(("acceleration_x", "acceleration_y", "acceleration_z"), self._felt(), strict=True))
-
-    def _felt(self) -> tuple[float, float, float]:
-        """Readings of the accelerometer [m/s2]."""
-        x, y, z = (0.0, 0.0, G) if self.shows_level else self._specific_force()
-        if not self._noise:
-            return x, y, z
-        noise = self._chance.gauss
-        return x + noise(0.0, self._noise), y + noise(0.0, self._noise), z + noise(0.0, self._noise)
+        felt = (0.0, 0.0, G) if self.shows_level else self._specific_force()
+        return found | dict(zip(("acceleration_x", "acceleration_y", "acceleration_z"), felt, strict=True))
 
     def _specific_force(self) -> tuple[float, float, float]:
-        """Specific force [m/s2] along the platform's own axes at a sensor on the z axis, without noise.
+        """Specific force [m/s2] along the platform's own axes at a sensor on the z axis.
 
         Its acceleration is h (w' x e_z + w x (w x e_z)), from the angular speed w and its rate w'.
         """
@@ -227,20 +213,15 @@ class PlatformPlant:
 
     def snapshot(self) -> dict[str, Any]:
         """The complete state, for `restore`."""
-        chance = self._chance.getstate() if self._noise else None
         opened = {key: tuple(mine) for key, mine in self._open.items()}
         kept = self.state, self.time, self.supply, self.dump, self.shows_level, self.blocked
-        return {"kept": kept, "open": opened, "stuck": dict(self.stuck), "holes": list(self.holes),
-                "openings": dict(self.openings), "chance": chance}  # fmt: skip
+        return {"kept": kept, "open": opened, "stuck": dict(self.stuck), "holes": list(self.holes)}
 
     def restore(self, snapshot: Mapping[str, Any]) -> None:
         """Return to the state of a snapshot, which can be used again."""
         self.state, self.time, self.supply, self.dump, self.shows_level, self.blocked = snapshot["kept"]
         self._open = {key: list(mine) for key, mine in snapshot["open"].items()}
         self.stuck, self.holes = dict(snapshot["stuck"]), list(snapshot["holes"])
-        self.openings = dict(snapshot["openings"])
-        if snapshot["chance"] is not None:
-            self._chance.setstate(snapshot["chance"])
 
 
 Pair = tuple[float, float]

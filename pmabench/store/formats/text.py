@@ -120,7 +120,7 @@ class Stamps:
 
     @property
     def texts(self) -> dict[str, str]:
-        """Columns with texts -> their kind."""
+        """Kind of each column that holds text, by name."""
         data = {self.column: self.written} if self.written in TEXTS else {}
         return {**data, self.date: "date"} if self.date else data
 

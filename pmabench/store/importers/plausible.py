@@ -61,7 +61,7 @@ def usual(pressure: Array, other: Array) -> tuple[Array, Array]:
 
 
 def frozen(report: Report, channel: Checked, other: Checked, rows: Rows, follows: bool) -> None:
-    """Flag samples, of those in `rows`, shape (m,), in which a channel repeats its reading while `other` moves.
+    """Flag the samples among `rows`, shape (m,), where a channel repeats its reading while `other` moves.
 
     `follows`: one of the two follows the other without delay, so that the expected reading is known.
     """
@@ -115,7 +115,7 @@ def _should_move(si: Array, ref: Array, begin: int, end: int) -> bool:
 
 
 def clipped(report: Report, channel: Checked, other: Checked, rows: Rows) -> None:
-    """Flag samples, of those in `rows`, that stay at a channel's highest reading while `other` continues to move."""
+    """Flag the samples among `rows` that stay at a channel's highest reading while `other` moves on."""
     raw, si, ref = channel.raw[rows], channel.si[rows], other.si[rows]
     top = float(si.max())
     at_top = si == top

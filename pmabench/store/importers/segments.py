@@ -302,7 +302,8 @@ def _by_file(rows: _Rows) -> list[Segment]:
     length = _length(rows, np.arange(len(rows.t))) if wanted else {}
     point = {**rows.point, **length}
     open_frequency = "frequency" in rows.rules.test.point and "frequency" not in point
-    if open_frequency and (frequency := _only_sine(rows)):
+    seen = rows.rising
+    if open_frequency and (frequency := motion.only_sine(rows.t[seen], rows.values[rows.driven][seen])):
         point["frequency"] = frequency
     steps = [] if open_frequency else rows.commanded_steps()
     return [Segment(*rows.whole, point, tuple(steps or rows.sine(point.get("frequency", 0.0))), measured=tuple(length))]
@@ -339,15 +340,6 @@ CUTS: Mapping[str, Callable[[_Rows], list[Segment]]] = {
     "command": _by_command,
 }
 """`by` of the map -> function that cuts a file into trials."""
-
-
-def _only_sine(rows: _Rows) -> float:
-    """Frequency [Hz] if at least 80 % of a file is one sine; else 0."""
-    t, seen = rows.t[rows.rising], rows.values[rows.driven][rows.rising]
-    waves = motion.waves(t, seen, 0.25 * float(np.ptp(seen))) if len(seen) else []
-    begin, end = rows.whole
-    found = [wave for wave in waves if wave.end - wave.begin > 0.8 * (end - begin)]
-    return float(f"{found[0].frequency:.5g}") if len(found) == 1 else 0.0
 
 
 def _length(rows: _Rows, part: NDArray[np.intp]) -> dict[str, float]:

@@ -82,8 +82,7 @@ def signs(guess: Guess) -> Iterator[Sign]:
             trials = {"by": "ramp", "smallest": f"{5 * share(guess, 'pressure'):.3g}"}
         yield Sign("held length", trials, reason, "pressure" if cycles > 1 else "pressure_command")
     yield from filter(None, (_held_lengths(guess), _driven(guess)))
-    sine = sine_of(t, command.values) if command is not None and t is not None else 0.0
-    if sine:
+    if (sine := _sine_of(command, t)) > 0:
         reason = f"the command is a sine of {sine:.3g} Hz ({sine * 2 * np.pi:.3g} rad/s)"
         yield Sign("sine", {"by": "file"}, reason, frequency=sine)
     if command is not None and (step := edge(command.values)) > 0:
@@ -231,20 +230,13 @@ def count(guess: Guess, what: str) -> int:
     return len(motion.waves(t, values, smallest) if what == "sine" else motion.levels(t, values, smallest))
 
 
-def sine_of(t: Array, values: Array) -> float:
-    """Frequency [Hz] of a channel that is a single sine, shape (n,), over `t` [s]; 0 where it is not."""
-    good = np.isfinite(values) & np.concatenate([[True], np.diff(t) > 0])
-    t, values = t[good], values[good]
-    if len(t) < 50 or np.ptp(values) == 0:
+def _sine_of(column: Proposal | None, t: Array | None) -> float:
+    """Frequency [Hz] of a command that is a single sine over `t` [s]; 0 where it is not, or there is none."""
+    if column is None or t is None:
         return 0.0
-    low, high = np.quantile(values, [0.02, 0.98])
-    even = np.linspace(t[0], t[-1], min(4096, len(t)))
-    signal = np.interp(even, t, np.clip(values, low, high))
-    power = np.abs(np.fft.rfft((signal - signal.mean()) * np.hanning(len(even)))) ** 2
-    peak = int(np.argmax(power[1:])) + 1
-    share = float(power[max(1, peak - 3) : peak + 4].sum() / power[1:].sum())
-    smooth = len(np.unique(np.round(values, 6))) > 8
-    return float(peak / (t[-1] - t[0])) if share > 0.9 and peak >= 3 and smooth else 0.0
+    good = np.isfinite(column.values) & motion.later(t)
+    t, values = t[good], column.values[good]
+    return motion.only_sine(t[~lone(values)], values[~lone(values)])
 
 
 def edge(values: Array) -> float:
