@@ -69,7 +69,12 @@ SLOW = 140
 """Of the slow tests over a wire every commit takes one in so many, whatever its rig: together they take half an hour."""
 IN_REAL_TIME = re.compile(r"^pytestmark = .*\brealtime\b", re.MULTILINE)
 """A file whose tests all wait in real time."""
-LONGEST = ("tests/test_pages.py", "tests/cli/test_process_json.py")
+LONGEST = (
+    "tests/test_pages.py", "tests/cli/test_process_json.py", "tests/test_site.py", "tests/test_characterisation.py",
+    "tests/analysis/test_diagnosis.py", "tests/analysis/test_judged_second.py", "tests/conformance/test_suite.py",
+    "tests/reliability/test_power_cut.py", "tests/test_structure.py",
+)  # fmt: skip
+"""Files with tests of many seconds: one that began last would keep one core busy, and no other."""
 CHOSEN = (*RIGS, *OF_ALL_RIGS, CONFORMANCE, "tests/outside/test_faults.py")
 
 
