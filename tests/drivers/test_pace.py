@@ -1,6 +1,7 @@
 """The pace of samples in virtual time: what is only late now and then is right, what stays late or comes early is not."""
 
 import random
+from functools import partial
 
 import pytest
 from pmabench_drivers.shared.link import Flow, Pace
@@ -67,20 +68,20 @@ def _busy(t):
 
 LINES = {
     # lines of an indicator, and from when on they are late [s]
-    "a busy computer, an indicator 0.5 % slow": (lines(1800, 49.75, _busy), None),
-    "lines that come in pieces": (lines(300, 50, lambda t: 0.2 - t % 0.2), None),
-    "a line in a hundred is lost": (lines(600, 50, lost=lambda n: n % 100 == 7), None),
-    "every seventh line is glued to the next": (lines(300, 50, lost=lambda n: n % 7 == 0), None),
-    "a buffer that is emptied at the beginning": (lines(300, 50, lambda t: max(0.0, 0.8 - t)), None),
-    "one stall of 3 s": (lines(60, 50, lambda t: max(0.0, 33.0 - t) if 30 < t < 33 else 0.0), None),
-    "10 lines a second, three lost at once": (lines(300, 10, lost=lambda n: 500 <= n < 503), None),
-    "later and later, up to 2 s": (lines(60, 50, lambda t: min(2.0, 0.5 * max(0.0, t - 30))), 30),
-    "later by a tenth": (lines(60, 10, lambda t: min(2.0, 0.1 * max(0.0, t - 30))), 30),
+    "a busy computer, an indicator 0.5 % slow": (partial(lines, 1800, 49.75, _busy), None),
+    "lines that come in pieces": (partial(lines, 300, 50, lambda t: 0.2 - t % 0.2), None),
+    "a line in a hundred is lost": (partial(lines, 600, 50, lost=lambda n: n % 100 == 7), None),
+    "every seventh line is glued to the next": (partial(lines, 300, 50, lost=lambda n: n % 7 == 0), None),
+    "a buffer that is emptied at the beginning": (partial(lines, 300, 50, lambda t: max(0.0, 0.8 - t)), None),
+    "one stall of 3 s": (partial(lines, 60, 50, lambda t: max(0.0, 33.0 - t) if 30 < t < 33 else 0.0), None),
+    "10 lines a second, three lost at once": (partial(lines, 300, 10, lost=lambda n: 500 <= n < 503), None),
+    "later and later, up to 2 s": (partial(lines, 60, 50, lambda t: min(2.0, 0.5 * max(0.0, t - 30))), 30),
+    "later by a tenth": (partial(lines, 60, 10, lambda t: min(2.0, 0.1 * max(0.0, t - 30))), 30),
 }
 
 
 @pytest.mark.parametrize("what", LINES)
 def test_lines_without_a_clock_that_come_later_and_later_are_found(what):
     times, since = LINES[what]
-    late = first_late(times)
+    late = first_late(times())
     assert (late is None) if since is None else (since < late < since + 10), late

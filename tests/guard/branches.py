@@ -10,7 +10,7 @@ from __future__ import annotations
 import dis
 import sys
 import threading
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 from types import CodeType, FrameType
@@ -39,14 +39,22 @@ RANDOM = (
 """Tests of the folder that take no branch that the others leave out, and half of the time with a trace."""
 
 taken: dict[CodeType, set[tuple[int, int]]] = defaultdict(set)
+complete: set[CodeType] = set()
+"""Code of which nothing is left to be seen: it needs no trace any more."""
+calls: Counter[CodeType] = Counter()
 
 
 def trace(frame: FrameType, event: str, _argument: Any) -> Any:
-    """Follow the guard's own frames instruction by instruction."""
-    if frame.f_code.co_filename not in FILES:
+    """Follow the guard's own frames instruction by instruction, as long as these have not been everywhere."""
+    code = frame.f_code
+    if code.co_filename not in FILES or code in complete:
         return None
-    frame.f_trace_opcodes = True
-    code, before = frame.f_code, -1
+    calls[code] += 1
+    if taken[code] and calls[code] & (calls[code] - 1) == 0 and not any(missed(code)):  # at the call 2, 4, 8 ...
+        complete.add(code)
+        return None
+    frame.f_trace_opcodes, frame.f_trace_lines = True, False
+    before = -1
     steps = taken[code]
 
     def local(frame: FrameType, event: str, _argument: Any) -> Any:

@@ -130,7 +130,7 @@ def slope(cause: str, size: float, seed: int) -> Callable[[Array, Array | None, 
     return lambda P, x, crept: muscle.slope(P, *loads, CONTRACT, x, crept)
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=16)
 def _motion(muscle: Muscle, slack: float, tube: float, guide: float) -> Motion:
     masses = np.array([mass for mass, _ in PLAN])
     return hang(muscle, masses, [commands(P) for _, P in PLAN], DURATION, PAUSES, slack=slack, tube=tube, guide=guide)

@@ -65,16 +65,23 @@ def test_half_the_step_changes_less_than_the_noise(muscle):
 def test_what_a_trial_leaves_behind_is_in_the_next_one(cause):
     """Trials one after the other, each from the state that the one before left, as they are done at a bench."""
     muscle, masses, targets = muscle_of(cause, 1.0, 3), np.array([26.0] * 4), [500e3, 350e3, 500e3, 200e3]
-    steps, pauses = [commands(P) for P in targets], np.full(4, 10.0)
-    together = hang(muscle, masses, steps, 14.0, pauses)
-    t = np.arange(14000 + 1) / 1000
+    steps, pauses, duration = [shorter(P) for P in targets], np.full(4, 10.0), 5.5
+    together = hang(muscle, masses, steps, duration, pauses)
+    t = np.arange(round(1000 * duration) + 1) / 1000
     crept, strained = np.zeros((len(muscle.times), 1)), np.zeros((len(muscle.slides), 1))
     for number, one in enumerate(steps):
         P = pressure(one, t)[:, None]
         alone, crept, strained = _advance(muscle, masses[:1], P, crept, strained, 0.0, 2)
         crept = crept * np.exp(-10.0 / np.array(muscle.times))[:, None]
-        assert together.x[number] == pytest.approx(alone.x[0], abs=NOISE["displacement"])
-        assert together.force[number] == pytest.approx(alone.force[0], abs=NOISE["force"])
+        # one pass less is off by 0.4 of the noise
+        assert together.x[number] == pytest.approx(alone.x[0], abs=0.1 * NOISE["displacement"])
+        assert together.force[number] == pytest.approx(alone.force[0], abs=0.1 * NOISE["force"])
+
+
+def shorter(target):
+    """Commands of a trial that holds its pressure for 2 s and goes down every half a second."""
+    first, *rest = commands(target)
+    return (first, *((2.2 + 0.5 * number, P) for number, (_, P) in enumerate(rest)))
 
 
 def test_the_lift_is_that_of_an_adaptive_solver():

@@ -46,7 +46,7 @@ def pressurised(emulator, pressure=2e5):
     before, end = {}, time.monotonic() + 15
     while time.monotonic() < end:
         now = plant.quantities()
-        if before and all(abs(now[key] - before[key]) < 1e-6 * max(1.0, abs(now[key])) for key in now):
+        if before and all(abs(now[key] - before[key]) < 1e-5 * max(1.0, abs(now[key])) for key in now):
             return now
         before = now
         time.sleep(0.3)

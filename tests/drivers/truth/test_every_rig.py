@@ -15,20 +15,14 @@ CLOSE = {"pressure": 200.0, "displacement": 3e-5, "force": 0.6}
 
 
 @pytest.mark.parametrize("name", CLIENTS)
-def test_a_client_that_knows_only_data_sheets_reads_what_is_true_of_the_plant(tmp_path, name):
+def test_a_client_that_knows_only_data_sheets_and_the_shipped_bench_read_what_is_true_of_the_plant(tmp_path, name):
     client, _device, quantity = CLIENTS[name]
-    with rig(tmp_path, name) as (emulator, _records):
-        true = pressurised(emulator)
-        at = {device: served.address for device, served in emulator.devices.items()}
-        assert true[quantity] > 50 * CLOSE[quantity]
-        assert client(at) == pytest.approx(true[quantity], abs=CLOSE[quantity])
-
-
-@pytest.mark.parametrize("name", CLIENTS)
-def test_the_shipped_bench_reads_what_is_true_of_the_plant(tmp_path, name):
     with rig(tmp_path, name) as (emulator, records):
         true = pressurised(emulator)
         assert emulator.proven
+        at = {device: served.address for device, served in emulator.devices.items()}
+        assert true[quantity] > 50 * CLOSE[quantity]
+        assert client(at) == pytest.approx(true[quantity], abs=CLOSE[quantity])
         for record in records.values():
             for what, value in read(record).items() if record.channels else ():
                 quantity = {"supply": "pressure"}.get(what, what.removesuffix("_command"))
