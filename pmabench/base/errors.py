@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from difflib import get_close_matches
 
 
 class PmaError(Exception):
@@ -125,5 +124,7 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
 
 def nearest(name: str, known: Sequence[str]) -> str:
     """`; did you mean "..."?` with the nearest of the known names, nothing where none is near."""
+    from difflib import get_close_matches  # 2 ms that only a mistake needs
+
     near = get_close_matches(name, known, n=1, cutoff=0.6)
     return f'; did you mean "{near[0]}"?' if near else ""

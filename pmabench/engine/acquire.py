@@ -20,7 +20,7 @@ from pmabench.bench.interface import Block, CompiledBench, Stream
 from pmabench.engine.commanded import Commanded
 from pmabench.engine.recorder import Forgiving, Recorder
 from pmabench.engine.source import Piece, Ranges, Source, Spacing
-from pmabench.engine.watch import ENDS, Trip, Watch
+from pmabench.engine.watch import ENDS, Trip, Watch, extremes_of
 from pmabench.store.records import Flag
 
 Array = NDArray[np.float64]
@@ -340,16 +340,18 @@ class Acquisition:
             self._stopped = float(t[at])
             if self._rewound(source, t, at):
                 count = at + 1
-        seen = {name: column[:count] for name, column in values.items()}
-        trips = self._watch.look(t[:count], seen, source.heard) if self._watch is not None else []
+        seen = values if count == len(t) else {name: column[:count] for name, column in values.items()}
+        extremes = extremes_of(seen)
+        trips = self._watch.look(t[:count], seen, source.heard, extremes) if self._watch is not None else []
         ends = next((trip for trip in trips if trip.limit.action in ENDS), None)
         if ends is not None and ends.index < count - 1 and self._rewound(source, t, ends.index):
             count = ends.index + 1
+            seen = {name: column[:count] for name, column in values.items()}
+            extremes = extremes_of(seen)
         if count < len(time_ns):
             time_ns = time_ns[:count]
             raw = {name: column[:count] for name, column in raw.items()}
-            values = {name: column[:count] for name, column in values.items()}
-        self._keep(source, time_ns, raw, values, block.host)
+        self._keep(source, time_ns, raw, seen, extremes, block.host)
         self._act(trips)
 
     def _hear(self, source: Source, newest: int, host: int) -> float:
@@ -433,6 +435,7 @@ class Acquisition:
         time_ns: NDArray[np.int64],
         raw: Mapping[str, Any],
         values: Mapping[str, Array],
+        extremes: Mapping[str, tuple[float, float]],
         host: int,
     ) -> None:
         before, apart = source.spacing.look(time_ns)
@@ -440,7 +443,7 @@ class Acquisition:
         source.flag(before)
         for name, value in values.items():
             self.latest[name] = float(value[-1])
-        flags = self._ranges.block(source.channels, values, len(time_ns))
+        flags = self._ranges.block(source.channels, values, extremes, len(time_ns))
         if any(apart):
             flags |= np.array(apart, dtype=np.uint16)
         if self.recording and source.recorded:

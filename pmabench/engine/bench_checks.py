@@ -415,12 +415,16 @@ class LoadCheck:
         return self._keep
 
     def _keep(self, block: Samples) -> None:
+        begin = block.t[-1] - SPAN
+        first = int(block.t.searchsorted(begin, side="right"))
         for name in ("force", "displacement", "pressure"):
             if name in block.values:
-                t, y = self._kept.get(name, (block.t[:0], block.t[:0]))
-                t, y = np.concatenate((t, block.t)), np.concatenate((y, block.values[name]))
-                recent = t > t[-1] - SPAN
-                self._kept[name] = t[recent], y[recent]
+                t, y = block.t[first:], block.values[name][first:]
+                if first == 0 and name in self._kept:
+                    before, values = self._kept[name]
+                    recent = before > begin
+                    t, y = np.concatenate((before[recent], t)), np.concatenate((values[recent], y))
+                self._kept[name] = t, y
 
     def verdict(self) -> LoadVerdict | None:
         """The verdict if the load hung still at the end of the observed samples, else None."""

@@ -207,12 +207,17 @@ class Ranges:
         self._slack_below = slack_below
         self.extremes: dict[str, tuple[float, float]] = {}
 
-    def block(self, channels: Mapping[str, ChannelRecord], values: Mapping[str, Array], count: int) -> Flags:
-        """Flags of `count` samples, of shape (n,); `values` [SI] have that shape too."""
+    def block(
+        self,
+        channels: Mapping[str, ChannelRecord],
+        values: Mapping[str, Array],
+        extremes: Mapping[str, tuple[float, float]],
+        count: int,
+    ) -> Flags:
+        """Flags of `count` samples, of shape (n,); `values` [SI], with their `extremes`, have that shape too."""
         flags = np.zeros(count, dtype=np.uint16)
         for name, value in values.items():
-            channel = channels[name]
-            low, high = float(value.min()), float(value.max())
+            channel, (low, high) = channels[name], extremes[name]
             if low == low and high == high:
                 seen = self.extremes.get(name, (low, high))
                 self.extremes[name] = (min(seen[0], low), max(seen[1], high))

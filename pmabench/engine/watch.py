@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -75,6 +76,12 @@ class Trip:
         return f"{name} {shown} at {self.t:.3f} s is {side} its limit {end} ({limit.source})"
 
 
+def extremes_of(values: Mapping[str, Array]) -> dict[str, tuple[float, float]]:
+    """Lowest and highest value of each channel with samples; NaN where one is NaN."""
+    least, most = np.minimum.reduce, np.maximum.reduce  # the methods of arrays take twice as long
+    return {name: (float(least(value)), float(most(value))) for name, value in values.items() if len(value)}
+
+
 class _Watched:
     """One limit, from block to block."""
 
@@ -109,12 +116,20 @@ class Watch:
         self._channels = {channel.name: channel for channel in channels}
         self._commanded = commanded or Commanded()
 
-    def look(self, t: Array, values: Mapping[str, Array], now: float | None = None) -> list[Trip]:
+    def look(
+        self,
+        t: Array,
+        values: Mapping[str, Array],
+        now: float | None = None,
+        extremes: Mapping[str, tuple[float, float]] | None = None,
+    ) -> list[Trip]:
         """Limits exceeded in this block for longer than their delay, and those that are met again, in order of time.
 
         `t` [s] and each of `values` [SI] have shape (n,); `now` [s] is the arrival of the last sample that was not old.
-        NaN counts as outside. Nothing is reported after the first trip that ends the run.
+        NaN counts as outside. Nothing is reported after the first trip that ends the run. `extremes` are those of
+        `values`, where they are known.
         """
+        extremes = extremes_of(values) if extremes is None else extremes
         found: list[Trip] = []
         for watched in self._watched:
             samples = values.get(watched.limit.channel)
@@ -126,7 +141,7 @@ class Watch:
             if watched.limit.kind == "stale":
                 self._over(watched, 0, float(t[0]), float(samples[0]), found)
                 continue
-            if watched.limit.kind == "range" and not watched.active and self._inside(watched, samples):
+            if watched.limit.kind == "range" and not watched.active and self._inside(watched, extremes):
                 continue
             found += self._one(watched, t, samples)
             if watched.limit.kind == "following" and watched.limit.action == "hold":
@@ -173,10 +188,11 @@ class Watch:
         return inside and value - value == 0.0
 
     @staticmethod
-    def _inside(watched: _Watched, samples: Array) -> bool:
-        low, high, limit = samples.min(), samples.max(), watched.limit
+    def _inside(watched: _Watched, extremes: Mapping[str, tuple[float, float]]) -> bool:
+        limit = watched.limit
+        low, high = extremes[limit.channel]
         inside = (limit.high is None or high < limit.high) and (limit.low is None or low > limit.low)
-        if inside and np.isfinite(low) and np.isfinite(high):
+        if inside and math.isfinite(low) and math.isfinite(high):
             watched.since = None
             return True
         return False

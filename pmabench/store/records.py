@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import IntFlag
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypeGuard
 
 import numpy as np
@@ -117,10 +118,12 @@ class TrialData:
         """`run/number`, the name of the trial in results."""
         return f"{self.run}/{self.number}"
 
-    @property
+    @cached_property
     def usable(self) -> NDArray[np.bool_]:
-        """Mask of samples that may be used in a fit, shape (n,)."""
-        return np.asarray((self.flags & np.uint16(UNUSABLE)) == 0)
+        """Mask of samples that may be used in a fit, shape (n,); read-only."""
+        mask = np.asarray((self.flags & np.uint16(UNUSABLE)) == 0)
+        mask.flags.writeable = False
+        return mask
 
 
 @dataclass(frozen=True)

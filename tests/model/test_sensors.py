@@ -27,6 +27,13 @@ def test_seed_and_sensor_make_a_difference():
     assert len(draws) == 4
 
 
+@pytest.mark.parametrize("seed", [0, 1, 2**32 - 1, 2**32, 2**70 + 3])
+def test_the_noise_of_a_seed_is_that_of_numpys_generator_for_it(seed):
+    """So a run can be repeated with any version, and with a seed of any size."""
+    third = np.random.default_rng((seed, 5, 2)).standard_normal(1024)
+    assert NoiseSource(seed, 5).samples(2 * 1024, 1024).tolist() == third.tolist()
+
+
 def test_noise_is_scaled_as_a_whole():
     assert Noise(500.0, 2e-6, 0.3).scaled(2.0) == Noise(1000.0, 4e-6, 0.6)
     with pytest.raises(ValueError, match="negative"):

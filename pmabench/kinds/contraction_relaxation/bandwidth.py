@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from math import hypot, log, pi, sqrt
 
 import numpy as np
@@ -176,9 +177,10 @@ def _fitted(t: Array, y: Array, lags: int, gain: float = GAIN) -> Response | Non
         return (float(z[1]), lag) if lags == 1 else (float(z[1]), lag, lag / (1 + float(np.exp(z[3]))))
 
     start = [1.0, 0.3 * first, log(0.7 * first), *([1.0] * (lags - 1))]
+    stepped = lru_cache(maxsize=1)(lambda at: step(t, at))  # the first slope needs the step that was just computed
 
     def missed(z: Array) -> Array:
-        return np.asarray(z[0] * step(t, times(z)) - y)
+        return np.asarray(z[0] * stepped(times(z)) - y)
 
     with np.errstate(all="ignore"):  # a trial step far from the solution may overflow; it is rejected
         found, slope = _least(missed, np.array(start), gain)
