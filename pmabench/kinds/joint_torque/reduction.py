@@ -24,12 +24,17 @@ from pmabench.kinds.joint_torque import RESULTS
 from pmabench.kinds.joint_torque.staircase import ORDERS, ROUNDED, Staircase, ramps_of, staircase_of
 from pmabench.plotting.chart import PALETTE, ZERO, Chart, small_multiples
 from pmabench.plotting.pictures import Picture, curve, has, label, of_traces, spread, unit_of
-from pmabench.store.analyses.results import Analysis, Estimate, Parts, Trace, withhold
+from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace, withhold
 from pmabench.store.records import Array, RunData, TrialData
 
+DRIFT = "drift of the torque"
 SURE = 0.9995
 """Probability of Student's t beyond which a common change of the torque from cycle to cycle is significant."""
+UNSEEN = 0.995
+"""The same for what could hide, as all torques near the end of a run hold it alike."""
 FEWEST_TRIALS = 4
+JUMPS, LEAST_JUMP = 8.0, 5e-3
+"""A jump between two cycles of a trial in usual differences between them, and as a share of the largest torque."""
 LASTING = 0.15
 """Largest relative difference of that change between both halves of a cycle for which it counts as a drift."""
 
@@ -47,6 +52,8 @@ class Drift:
 
     rate: float
     """[N m/s]; 0 if not significant."""
+    unseen: float
+    """Drift that the cycles do not show [N m/s]."""
     since: Mapping[str, float]
     """Name of a trial -> time from the start of its run [s]."""
 
@@ -59,24 +66,68 @@ class Drift:
         (rising, falling), n = each.mean(axis=0) if len(each) else (0.0, 0.0), len(each)
         rate, rates = 0.5 * float(rising + falling), each.mean(axis=1)
         lasting = abs(rising - falling) < LASTING * abs(rate)
-        if n < FEWEST_TRIALS or not lasting or abs(rate) < student.ppf(SURE, n - 1) * rates.std(ddof=1) / sqrt(n):
-            return cls(0.0, since)
-        return cls(rate, since)
+        error = float(rates.std(ddof=1)) / sqrt(n) if n > 1 else 0.0
+        if n < FEWEST_TRIALS or not lasting or abs(rate) < student.ppf(SURE, n - 1) * error:
+            most = abs(rate) + student.ppf(UNSEEN, n - 1) * error if n > 1 else 0.0
+            return cls(0.0, float(most), since)
+        return cls(rate, 0.0, since)
 
     def by(self, e: Estimate) -> float:
         """Its effect on a torque [N m]."""
-        return self.rate * float(np.mean([self.since[name] for name in e.trials]))
+        return (self.rate or self.unseen * (e.n == 1)) * float(np.mean([self.since[name] for name in e.trials]))
 
     def weigh(self, e: Estimate, half: float, scale: float | None = None) -> Estimate:
-        """The estimate, widened or withheld for `half`, the effect of the drift on it."""
+        """The estimate, widened or withheld for `half`, the effect of the drift on it.
+
+        Where no trial at its pressures is repeated, the scatter does not hold a drift that the cycles do not show.
+        """
         if self.rate == 0:
-            return e
+            return weighed(e, [Doubt(DRIFT, "drift", abs(half), False)], scale) if half else e
+        return weighed(e, [Doubt(DRIFT, "drift", abs(half), True, self.reason)], scale)
+
+    @property
+    def reason(self) -> str:
+        """The sentence about a significant drift."""
         whole = show(abs(self.rate) * max(self.since.values()), "torque", 2)
-        reason = (
+        return (
             f"from cycle to cycle the torque changes alike in all trials, by {whole} from the first to the last if it "
             "goes on: its zero drifts. Take the zero again before each trial, or let the cell warm up"
         )
-        return weighed(e, [Doubt("drift of the torque", "drift", abs(half), True, reason)], scale)
+
+
+@dataclass(frozen=True)
+class Jump:
+    """The largest change of the torque between two cycles of one trial that no other trial has, and that trial."""
+
+    size: float
+    """[N m]"""
+    trial: TrialData
+
+    @classmethod
+    def of(cls, members: Sequence[Staircase]) -> Jump | None:
+        """From all trials; None without one."""
+        each = [np.abs(one.rests.torques[-1] - one.rests.torques[0]) for one in members]
+        if len(each) < FEWEST_TRIALS:
+            return None
+        sizes, usual = [float(one.max()) for one in each], float(np.median(np.concatenate([e.ravel() for e in each])))
+        worst, largest = int(np.argmax(sizes)), max(float(np.abs(one.mean).max()) for one in members)
+        is_one = sizes[worst] > max(JUMPS * usual / 0.6745, LEAST_JUMP * largest)
+        return cls(sizes[worst], members[worst].trial) if is_one else None
+
+    @property
+    def reason(self) -> str:
+        """The sentence about it."""
+        return (
+            f"within trial {self.trial.number} the torque jumps by {show(self.size, 'torque', 2)} between two cycles: "
+            "the zero of its cell, or a mount that slipped. Whether trials before or after it are right is not known. "
+            "Look for the cause, and measure again"
+        )
+
+    def weigh(self, e: Estimate, largest: float, step: float) -> Estimate:
+        """The estimate, widened or withheld; `largest` torque [N m], `step` of the angles [rad]."""
+        here = self.trial.name in e.trials
+        half = {"tau": self.size, "H_tau": self.size * here, "K_th": self.size / step * here}.get(e.symbol, 0.0)
+        return weighed(e, [Doubt("jump of the torque", "drift", half, True, self.reason)], largest if half else None)
 
 
 LEVELS = 3
@@ -176,6 +227,11 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     planes = list(plane_estimates(torques, scales, drift))
     largest = max((abs(e.value) for e in torques if e.value is not None), default=0.0)
     estimates = [drift.weigh(e, drift.by(e), largest) if e.symbol == "tau" else e for e in estimates] + planes
+    result.findings += [Finding("doubt", drift.reason)] if drift.rate else []
+    if jump := Jump.of(staircases):
+        step = float(np.diff(staircases[0].nominal).min())
+        estimates = [jump.weigh(e, largest, step) for e in estimates]
+        result.findings.append(Finding("doubt", jump.reason))
     result.estimates, result.traces = estimates, list(_map(cells, estimates))
     result.doubt_dropped()
     result.findings += joint.findings(runs, [(one.trial.point, one.kept) for one in staircases], scales, estimates)
