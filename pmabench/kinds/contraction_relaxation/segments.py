@@ -252,10 +252,10 @@ def noise_seen(
 ) -> tuple[Noise, Noise]:
     """Noise of each channel, and the part that the steps of its values alone make (step / sqrt(12)).
 
-    The noise is the median over the stretches, each in its usable rows `still` where nothing moves. It is at least that
-    of the steps, which rest does not show. `every` gives k for channels with a new value only in every k-th row,
-    interpolated in between: a mean of n rows then has n / k values, so their noise counts as white noise sqrt(k) times
-    as large.
+    The noise is the median over the stretches, each in its rows `still` where nothing moves, over the longest run of
+    usable samples. It is at least that of the steps, which rest does not show. `every` gives k for channels with a new
+    value only in every k-th row, interpolated in between: a mean of n rows then has n / k values, so their noise counts
+    as white noise sqrt(k) times as large.
     """
 
     def typical(name: str) -> tuple[float, float]:
@@ -286,11 +286,13 @@ def noise_of_means(stretches: Sequence[Samples], still: Sequence[slice], over: i
 
 
 def _at_rest(stretches: Sequence[Samples], still: Sequence[slice], name: str) -> Iterator[tuple[Samples, Array, Array]]:
-    """Stretch, its samples of a channel, and those in the rows `still`; for stretches with that channel."""
+    """Stretch, its samples of a channel, and their longest usable run in the rows `still`; for stretches with that
+    channel.
+    """
     for samples, rows in zip(stretches, still, strict=True):
         column = getattr(samples, name)
         if column is not None:
-            yield samples, column, column[rows]
+            yield samples, column, column[_unbroken(samples.ok, rows)]
 
 
 def _median(values: Sequence[float]) -> float:
@@ -419,7 +421,7 @@ def gather(runs: Sequence[RunData]) -> tuple[Campaign | None, list[Dropped]]:
     if not members:
         return None, dropped
     samples = tuple(samples_of(run, trial, number) for number, (run, trial) in enumerate(members))
-    still = [_unbroken(one.ok, settled(trial)) for one, (_, trial) in zip(samples, members, strict=True)]
+    still = [settled(trial) for _, trial in members]
     between = {channel: _between([trial for _, trial in members], channel) for channel in CHANNELS}
     noise, steps = noise_seen(samples, still, _every(runs, between))
     keys = [(round(trial.point.get("load", 0.0), 3), round(trial.point["pressure"])) for _, trial in members]
