@@ -81,7 +81,7 @@ def publish(
 ) -> None:
     """Put runs, their analyses and the report together for a repository of research data.
 
-    Sealed records, coefficients, report, README and checksums, described as RO-Crate, DataCite and
+    Sealed records, coefficients, report, README and checksums, described as RO-Crate, DataCite, Data Package and
     CITATION.cff. Runs are processed first, unless `process` did that and nothing has changed since.
     """
     if output.exists():

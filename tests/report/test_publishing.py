@@ -1,12 +1,13 @@
 """A publication is complete and says what it must, as a reader finds it who knows only the published formats.
 
 Rules: RO-Crate 1.1 (root data entity, contextual entities), DataCite 4.5 (mandatory properties), Citation File Format
-1.2.0 (required keys). Nothing of pmabench reads the package here.
+1.2.0 (required keys), Data Package v1 (resources with hash and bytes). Nothing of pmabench reads the package here.
 """
 
 import csv
 import hashlib
 import json
+import re
 import shutil
 import zipfile
 from urllib.parse import unquote
@@ -167,6 +168,24 @@ def test_catalogues_get_what_they_require(published, lab):
     assert {"cff-version", "message", "title", "authors"} <= set(cff)
     assert (cff["cff-version"], cff["license"], str(cff["date-released"])) == ("1.2.0", "CC-BY-4.0", "2026-11-28")
     assert cff["authors"][0]["orcid"] == "https://orcid.org/0000-0002-1825-0097"
+
+
+def test_the_data_package_has_every_file_and_the_columns(published):
+    package = json.loads((published / "datapackage.json").read_text())
+    assert package["licenses"][0]["name"] == "CC-BY-4.0"
+    for resource in package["resources"]:
+        data = (published / resource["path"]).read_bytes()
+        assert re.fullmatch(r"[-a-z0-9._/]+", resource["name"])
+        assert (resource["bytes"], resource["hash"]) == (len(data), f"sha256:{hashlib.sha256(data).hexdigest()}")
+    [table] = [resource for resource in package["resources"] if "schema" in resource]
+    fields = {field["name"]: field["type"] for field in table["schema"]["fields"]}
+    with (published / table["path"]).open() as file:
+        rows = list(csv.DictReader(file))
+    read = {"number": float, "integer": int, "string": str, "boolean": {"true": True, "false": False}.__getitem__}
+    assert list(rows[0]) == list(fields)
+    for row in rows:
+        for name, text in row.items():
+            assert not text or read[fields[name]](text) is not None
 
 
 def test_the_same_facts_give_the_same_bytes_also_as_a_zip(lab, tmp_path):

@@ -1,6 +1,6 @@
 """Puts a publication together: a folder or a zip with records, analyses, report and what describes them; fits nothing.
 
-What catalogues and readers get of it: DataCite, CITATION.cff, README.
+What catalogues and readers get of it: DataCite, CITATION.cff, Data Package, README.
 
 The same runs, analyses and facts about the publication give the same bytes. Records are copied as they are and checked
 before; what somebody else put into their folders stays out.
@@ -44,6 +44,7 @@ MEDIA = {
 WHAT = {
     "report.html": "Report: a certificate of two pages, and appendices", TABLE: "Coefficients with 95 % intervals, SI",
     "README.md": "What is in this publication", "CITATION.cff": "How to cite it", "datacite.json": "DataCite 4.5",
+    "datapackage.json": "Data Package",
 }  # fmt: skip
 WHAT_IN_A_RUN = {
     "manifest.json": "what was tested, when, with which versions", "plan.json": "the plan",
@@ -102,7 +103,7 @@ def _fill(folder: Path, analyses: Sequence[Analysis], runs: Sequence[RunData], r
     recorded = tuple(zip(places, unique.values(), strict=True))
     contents = replace(contents, analyses=tuple(named), runs=recorded, items=_items(folder))
     texts = {"README.md": readme(contents), "CITATION.cff": citation_cff(contents)}
-    texts["datacite.json"] = in_lines(datacite(contents))
+    texts |= {"datacite.json": in_lines(datacite(contents)), "datapackage.json": in_lines(datapackage(contents, heads))}
     for name, text in texts.items():
         write_file(folder / name, text, "the publication")
     write_file(folder / CRATE, in_lines(crate_of(replace(contents, items=_items(folder)))), "the publication")
@@ -165,6 +166,23 @@ def _zip(folder: Path, path: Path) -> None:
             file.writestr(entry, source.read_bytes())
 
 
+COLUMNS = {
+    "kind": "kind of test",
+    "symbol": "coefficient, as in the literature",
+    "coordinate": "which term of a curve, where the coefficient is one",
+    "value": "best estimate in the unit of the row; empty where none can be given",
+    "low95": "lower end of the 95 % interval",
+    "high95": "upper end of the 95 % interval",
+    "unit": "SI unit of value and interval (UCUM)",
+    "n": "number of trials behind it",
+    "method": "how it was evaluated",
+    "withheld": "whether the data contradict the form that the method assumes; then there is no value",
+    "note": "reason or remark",
+    "simulated": "whether the muscle was simulated",
+}
+"""Column of the table of coefficients -> what it is; others are coordinates of the operating point [SI]."""
+
+
 def datacite(contents: Contents) -> dict[str, Any]:
     """Metadata by the schema of DataCite, version 4.5; without a DOI they lack it until the repository gives one."""
     about = contents.about
@@ -217,6 +235,42 @@ def citation_cff(contents: Contents) -> str:
     return "\n".join(lines) + "\n"
 
 
+def datapackage(contents: Contents, heads: Sequence[str]) -> dict[str, Any]:
+    """A Data Package (Frictionless): the table of coefficients with its columns `heads`, each file with its hash."""
+    name, url = LICENCES[contents.about.licence]
+    return {
+        "name": "pmabench-publication",
+        "title": contents.title,
+        "description": contents.description,
+        "version": "1.0.0",
+        "created": f"{contents.about.published}T00:00:00Z",
+        "licenses": [{"name": contents.about.licence, "title": name, "path": url}],
+        "contributors": [{"title": author.name, "role": "author"} for author in contents.about.authors],
+        "keywords": list(contents.keywords),
+        "resources": [_resource(n, item, heads) for n, item in enumerate(contents.items, 1)],
+    }
+
+
+def _resource(number: int, item: Item, heads: Sequence[str]) -> dict[str, Any]:
+    found: dict[str, Any] = {"name": f"file-{number}", "path": item.path, "title": item.what, "mediatype": item.media}
+    found |= {"type": "file", "format": item.path.rpartition(".")[2].lower()}
+    found |= {"bytes": item.size, "hash": f"sha256:{item.sha256}"}
+    if item.path != TABLE:
+        return found
+    fields = [
+        {"name": head, "type": _type(head), "description": COLUMNS.get(head, "coordinate of the operating point")}
+        for head in heads
+    ]
+    table = {"name": "coefficients", "type": "table", "profile": "tabular-data-resource", "encoding": "utf-8"}
+    return found | table | {"schema": {"fields": fields, "missingValues": [""]}}
+
+
+def _type(head: str) -> str:
+    """What a column holds, as Table Schema names it; texts are the columns with a meaning, numbers all others."""
+    named = {"withheld": "boolean", "simulated": "boolean", "n": "integer"}
+    return named.get(head, "string" if head in {*COLUMNS} - {"value", "low95", "high95"} else "number")
+
+
 def readme(contents: Contents) -> str:
     """For a person who opens the package without knowing pmabench."""
     about, runs = contents.about, [run for _, run in contents.runs]
@@ -235,7 +289,7 @@ def readme(contents: Contents) -> str:
         f"- `{TABLE}`: every coefficient with its 95 % interval, SI",
         "- `analyses/`: one folder for each kind of test, with tables and the numbers behind the figures",
         "- `runs/`: the records as they were sealed at the bench; each has a README.txt that says how to read it",
-        f"- `{CRATE}`, `datacite.json`, `CITATION.cff`: the same for machines",
+        f"- `{CRATE}`, `datapackage.json`, `datacite.json`, `CITATION.cff`: the same for machines",
         f"- `{SUMS}`: check with `sha256sum -c {SUMS}`",
         "",
         f"Evaluated and put together with pmabench {__version__}; `pmabench process runs/*` computes it again.",
