@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pmabench.base.errors import UsageError
-from pmabench.base.quantities import CHANNEL_QUANTITY
+from pmabench.base.quantities import CHANNEL_QUANTITY, show
 from pmabench.cli.common import Ui, common, read_quantity, say
 from pmabench.cli.names import BENCH, PATH, SPECIMEN
 from pmabench.cli.outcome import AtLines, outcome_json, print_outcome, progress_line
@@ -93,19 +93,35 @@ def command(
     return done.outcome.exit_code
 
 
+def _reading(typed: Callable[[], str], quantity: str, nominal: float, far: float) -> float:
+    """What was typed [SI]; asked until it is a quantity, and again where it is `far` from the nominal value."""
+    before = nominal
+    while True:
+        try:
+            value = read_quantity("reading", typed(), quantity)
+        except UsageError as error:
+            say(str(error))
+            continue
+        if abs(value - nominal) <= far or value == before:
+            return value
+        before = value
+        say(f"{show(value, quantity)} is far from {show(nominal, quantity)}: is the unit right? Type it again if it is")
+
+
+FAR = 0.5
+"""Difference of a reading from its nominal value, as a share of the largest one, from which on it is asked again."""
+
+
 def _run(ui: Ui, mounted: Mounted, request: Request, out: Path, operator: str, *, yes: bool) -> Calibrated:
     from pmabench.session.calibration import calibrate
 
     lines = AtLines(realtime=mounted.bench.realtime)
     quantity = CHANNEL_QUANTITY[request.channel]
 
+    far = FAR * max(abs(point) for point in request.points)
+
     def typed(text: str, nominal: float, wait: Callable[[], None]) -> float:
-        while True:
-            answer = lines.line(f"{text} ", wait)
-            try:
-                return read_quantity("reading", answer, quantity)
-            except UsageError as error:
-                say(str(error))
+        return _reading(lambda: lines.line(f"{text} ", wait), quantity, nominal, far)
 
     def nobody(text: str, _nominal: float, _wait: Callable[[], None]) -> float:
         raise UsageError(f"a reading is needed ({text}) and there is no terminal; --yes is for simulated benches")

@@ -32,11 +32,12 @@ def command(
     ui: Ui, file: str, out: Path, operator: str, session: dict[str, Any], *, yes: bool, resume: bool
 ) -> int | None:
     """Run every protocol of the campaign FILE in order; the first run that does not finish ends it."""
-    outcomes = run_campaign(ui, file, out, operator_name=operator, yes=yes, resume=resume, session=session)
+    done: list[Path] = []
+    outcomes = run_campaign(ui, file, out, done=done, operator_name=operator, yes=yes, resume=resume, session=session)
     data = {"schema": "pmabench.campaign-outcome/1", "runs": [outcome_json(outcome) for outcome in outcomes]}
     brief = [str(outcome.folder) for outcome in outcomes]
     again = ["pmabench", "campaign", shlex.quote(file), "--out", shlex.quote(str(out)), "--resume"]
-    ui.result(data, lambda: click.echo("\n".join(_end(outcomes, again))), brief)
+    ui.result(data, lambda: click.echo("\n".join(_end(outcomes, done, again))), brief)
     return max((outcome.exit_code for outcome in outcomes), key=severity, default=0)
 
 
@@ -44,18 +45,22 @@ MOST_RUNS = 16
 """Runs that are listed at the end."""
 
 
-def _end(outcomes: Sequence[Outcome], again: Sequence[str]) -> Iterator[str]:
-    """At most 25 lines: how the campaign ended, its runs, what to type next; `again` goes on with what is left."""
+def _end(outcomes: Sequence[Outcome], done: Sequence[Path], again: Sequence[str]) -> Iterator[str]:
+    """At most 25 lines: how the campaign ended, its runs, what to type next; `again` goes on with what is left.
+
+    `done` are the folders of runs that had come to their end before.
+    """
     good = [outcome for outcome in outcomes if outcome.exit_code in {0, 6}]
+    count, every = len(done) + len(good), len(done) + len(outcomes)
     word = "FINISHED" if len(good) == len(outcomes) else outcomes[-1].status.upper()
     seconds = sum(outcome.bench_seconds for outcome in outcomes)
-    yield f"{word}  campaign: {len(good)} of {len(outcomes)} runs came to their end, {in_words(seconds)}"
+    yield f"{word}  campaign: {count} of {every} runs came to their end, {in_words(seconds)}"
     for outcome in outcomes[-MOST_RUNS:]:
         place = short(outcome.folder) if outcome.folder is not None else "not recorded"
         yield cut(f"   {outcome.status:9} {place}  {outcome.why}".rstrip())
     if len(good) < len(outcomes):
         yield from next_lines(*again)
-    elif folders := [short(outcome.folder) for outcome in good if outcome.folder is not None]:
+    elif folders := [short(one) for one in (*done, *(outcome.folder for outcome in good)) if one is not None]:
         yield from next_lines("pmabench", "process", *folders)
 
 
@@ -69,9 +74,12 @@ def severity(code: int) -> int:
 
 
 def run_campaign(
-    ui: Ui, file: str, out: Path, *, seed: int | None = None, resume: bool = False, **how: Any
-) -> list[Outcome]:
+    ui: Ui, file: str, out: Path, *, seed: int | None = None, resume: bool = False, done: list[Path] | None = None,
+    **how: Any,
+) -> list[Outcome]:  # fmt: skip
     """Run the campaign `file`; `seed` replaces that of simulated devices; `resume` goes on with what `out` holds.
+
+    Folders of runs that had come to their end before are added to `done`.
 
     `how`: operator_name, yes and session of `execute`; the options of the session are for the first run alone.
     """
@@ -92,6 +100,8 @@ def run_campaign(
             folder, status = before
             if status == "finished" or (status == "failed" and not ended_early(open_run(folder))):
                 ui.note(f"{title}: {status} already, in {folder.name}")
+                if done is not None:
+                    done.append(folder)
                 continue
             from pmabench.engine.resume import continue_run
 

@@ -319,6 +319,12 @@ class Acquisition:
             self._end_by(LimitTripped(why))
             self._raise_trip()
 
+    @property
+    def doubted(self) -> str:
+        """The channel that ended the run since it does not follow its command, or stands still; or empty."""
+        ended = self._tripped.trip.limit if isinstance(self._tripped, Tripped) else None
+        return ended.channel if ended is not None and ended.kind in {"following", "frozen"} else ""
+
     def _end_by(self, error: Exception) -> None:
         """Store the error for the executor to raise, and let the guard begin the safe state; only the first counts."""
         if self._tripped is None:

@@ -287,7 +287,9 @@ class _Run:
         """Run it; whatever ends it, the safe state follows."""
         acquisition, executor = self.acquisition, self.executor
         acquisition.check = self._check
-        acquisition.on_trip = lambda why, latches, hurry: self.guard.begin_safe(tripped=latches, hurry=hurry, why=why)
+        acquisition.on_trip = lambda why, latches, hurry: self.guard.begin_safe(
+            tripped=latches, hurry=hurry, why=why, doubted=acquisition.doubted
+        )
         if isinstance(self.guard, RemoteGuard):
             acquisition.beat = self.guard.beat
         cause: BaseException | None = None
@@ -390,7 +392,8 @@ class _Run:
         self.signals.news()
         self.signals.shut()
         why = str(cause) if cause is not None else "end of the run"
-        self.guard.begin_safe(tripped=isinstance(cause, LimitTripped), why=why)  # first: it must not wait
+        tripped, doubted = isinstance(cause, LimitTripped), acquisition.doubted
+        self.guard.begin_safe(tripped=tripped, why=why, doubted=doubted)  # first: it must not wait
         acquisition.begin_safe_state()
         ending = Forgiving(executor.recorder)
         if isinstance(cause, LimitTripped) and not isinstance(cause, Tripped):

@@ -276,9 +276,9 @@ class Service:
         own = {c.name for d in self.guard.bench.devices if d.name in self.guard.devices for c in d.channels}
         return {name: float(value) for name, value in seen.items() if name not in own}
 
-    def do_safe(self, peer: _Peer, *, tripped: bool, hurry: bool, why: str) -> None:
+    def do_safe(self, peer: _Peer, *, tripped: bool, hurry: bool, why: str, doubted: str = "") -> None:
         """The engine ends the run: begin the safe state."""
-        self._end("engine", why, tripped=tripped, hurry=hurry)
+        self._end("engine", why, tripped=tripped, hurry=hurry, doubted=doubted)
 
     def do_vent(self, peer: _Peer, who: str) -> dict[str, Any]:
         """Make the bench safe on request; answered at once, and again when it is over."""
@@ -334,11 +334,11 @@ class Service:
         elif self.guard.state is State.STOPPING:
             self.guard.begin_safe(hurry=True)  # another process may have vented meanwhile: no ramp continues
 
-    def _end(self, how: str, why: str, *, tripped: bool = True, hurry: bool = False) -> None:
+    def _end(self, how: str, why: str, *, tripped: bool = True, hurry: bool = False, doubted: str = "") -> None:
         """Begin the safe state; the first cause is kept and reported."""
         first = not self._ended
         self._ended = self._ended or {"how": how, "why": why}
-        self.guard.begin_safe(tripped=tripped, hurry=hurry)
+        self.guard.begin_safe(tripped=tripped, hurry=hurry, doubted=doubted)
         if first:
             self.guard.latest.clear()
         self._step(time.monotonic())

@@ -259,11 +259,11 @@ class RemoteGuard:
         output = self._outputs[name]
         return float(output.scale.to_si(to_device(output, value)))
 
-    def begin_safe(self, *, tripped: bool = False, hurry: bool = False, why: str = "") -> None:
+    def begin_safe(self, *, tripped: bool = False, hurry: bool = False, why: str = "", doubted: str = "") -> None:
         """Have the guard begin the safe state; from any thread. `safe_state` waits for its end."""
         self._safe = True
         with suppress(PmaError):
-            self.ask("safe", tripped=tripped, hurry=hurry, why=why)
+            self.ask("safe", tripped=tripped, hurry=hurry, why=why, doubted=doubted)
 
     def safe_state(self, measure: Measure, *, tripped: bool = False, why: str = "") -> Vent:
         """As `Guard.safe_state`. If the guard is gone, the engine opens the devices itself."""

@@ -80,6 +80,8 @@ class _Watched:
 
     action: SafeAction
     floor: float
+    blind: bool
+    """Whether it may stand still: it ended the run as such a one, and has not been seen high since."""
     value: float | None = None
     seen: float = -inf
     """When the newest value came [s]."""
@@ -98,11 +100,11 @@ class _Watched:
         good = abs(value - self.place) <= bound if rest else self.floor < value < bound
         self.value, self.seen = value, now
         if good:
-            self.since, self.bad, self.most = now if before is None else before, None, -inf
+            self.since, self.bad, self.most = None if self.blind else now if before is None else before, None, -inf
         elif value != value:
             self.since = None  # a failed sensor (NaN) is no high value
         else:
-            self.since, self.bad = None, now if self.bad is None else self.bad
+            self.since, self.bad, self.blind = None, now if self.bad is None else self.bad, False
             self.most, self.place = max(self.most, value), value
             self.falls = not rest and value < 0.98 * self.most
         return before is not None and not good
@@ -125,6 +127,8 @@ class _Watched:
             return f"{name}: {measured}, {'at rest' if good else f'and not at rest {within}'}"
         if good:
             return f"{name}: {measured}, below {_shown(action)}"
+        if self.blind:
+            return f"{name}: {measured}, by a gauge that ended the run and has not moved: it confirms nothing"
         if value is not None and value < action.value:
             measured += ", and not for long" if self.since is not None else ", which a broken wire reads"
         return f"{name}: {measured}, not below {_shown(action)} {within}"
@@ -159,7 +163,7 @@ class SafeState:
     [SI] confirms nothing, nor does any within `LINGERS` after `unanswered` [s]. `motions` are moving outputs: `hurry`
     stops them where they are, while a pressure is released. `expected` returns where an output is commanded to be now,
     and the allowed deviation of the measured value [SI]; `compare` asks the devices that confirm whether they still
-    measure as they did when the bench was armed.
+    measure as they did when the bench was armed. `blind` is a channel that may stand still at a low value.
     """
 
     def __init__(
@@ -174,8 +178,9 @@ class SafeState:
         motions: Collection[str],
         expected: Callable[[str], tuple[float, float]],
         compare: Callable[[], list[Call]],
+        blind: str = "",
     ) -> None:
-        self._compare = compare
+        self._compare, self._blind = compare, blind
         self._asked: list[Call] | None = None
         """Questions whether the devices that confirm still measure as they did when armed."""
         self._floors, self._motions, self._unanswered, self._expected = floors, motions, unanswered, expected
@@ -356,7 +361,7 @@ class SafeState:
     def _looked_at(self, actions: list[SafeAction], now: float, latest: Mapping[str, float]) -> bool:
         """Whether all values are good at the same time, or their time is over; repeats the commands until then."""
         if not self._watched:
-            self._watched = [_Watched(action, self._floors.get(action.target, -inf)) for action in actions]
+            self._watched = [_Watched(a, self._floors.get(a.target, -inf), a.target == self._blind) for a in actions]
         late, back = self._late(), False
         for watched in self._watched:
             value = latest.get(watched.action.target)

@@ -92,6 +92,15 @@ def test_quiet_campaigns_print_folders_and_why_they_ended(tmp_path):
     assert sorted(result.stdout.splitlines()) == sorted(str(folder) for folder in (tmp_path / "o").glob("2*"))
 
 
+def test_what_was_done_in_an_earlier_sitting_counts_and_is_processed(tmp_path):
+    path, out = campaign(tmp_path, ("mock", LIFTS), ("mock", LIFTS)), tmp_path / "o"
+    assert run(path, out).exit_code == 0
+    again = CliRunner().invoke(main, ["campaign", str(path), "--yes", "--out", str(out), "--resume"])
+    assert "2 of 2 runs came to their end" in again.output
+    advised = again.output.partition("pmabench process")[2]
+    assert all(folder.name.rpartition("_")[2] in advised for folder in out.glob("2*"))
+
+
 @pytest.mark.parametrize("version", ["now", "older"])
 def test_a_bench_that_is_wired_wrongly_ends_it_and_what_is_left_is_done_later(tmp_path, version):
     """Under pressure the displacement falls: the next run would be pressurised on the same bench."""

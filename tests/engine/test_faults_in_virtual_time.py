@@ -95,6 +95,25 @@ def test_a_fault_trips_its_limit_and_vents_at_that_sample(name, commands):
     assert [k for k, _, _ in outcome.events if k in {"trip", "vent"}] == ["trip", "vent"]
 
 
+LATE = (Hold("rest", 3.0), *HOLD)
+
+
+@pytest.mark.parametrize(
+    ("trip", "faults", "result"),
+    [
+        (limit("following", high=60e3, delay=0.3), {"pressure_stuck_at": 5.0}, "commanded"),
+        (limit("frozen", delay=0.5), {"pressure_stuck_at": 5.0}, "commanded"),
+        (limit("following", high=60e3, delay=0.3), {"supply_lost_at": 9.0}, "confirmed"),
+    ],
+)
+def test_a_gauge_that_ended_the_run_as_it_stands_still_confirms_no_vent(trip, faults, result):
+    """It reads 0 with 300 kPa in the muscle; one that reads high, and then falls, confirms."""
+    outcome = execute(limited(trip, faults=faults), LATE)
+    assert event(outcome, "trip")[1]["limit"] == trip.kind
+    assert (outcome.vent.result, outcome.exit_code) == (result, 5)
+    assert any("has not moved: it confirms nothing" in text for text in outcome.vent.actions) == (result == "commanded")
+
+
 @pytest.mark.parametrize("kind", STEPS)
 @pytest.mark.parametrize("name", ["no number", "sensor at its end"])
 def test_a_fault_is_seen_in_every_kind_of_step(name, kind, commands):

@@ -18,8 +18,8 @@ OURS = {
 """All modules of the program that the guard loads, besides the driver that it is told."""
 COMMANDS = ("guard", "links", "limits", "safe", "course", "owner")
 """What may command (docs/decisions/0011). The rest only asks devices, or is how the engine reaches the guard."""
-MAY_COMMAND, WHOLE = 1020, 1592
-"""Lines of code that may be there; they may become fewer, and more only for a reason (last: docs/decisions/0036, settled by an acknowledgement)."""
+MAY_COMMAND, WHOLE = 1020, 1597
+"""Lines of code that may be there; they may become fewer, and more only for a reason (last: docs/decisions/0042, a gauge that stands still)."""
 
 
 def loaded(code):

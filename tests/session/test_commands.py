@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
+from pmabench.cli.calibrate import _reading
 from pmabench.cli.main import main
 from tests.engine.benches import ROOT
 
@@ -44,6 +45,17 @@ def test_probe_and_monitor_command_nothing_and_leave_no_run(call, tmp_path):
     assert watched["channels"]["pressure"]["noise"] == pytest.approx(500, rel=0.3)  # Pa, of the simulated sensor
     assert watched["channels"]["pressure"]["rate"] == pytest.approx(100)
     assert not list(tmp_path.glob("runs"))
+
+
+@pytest.mark.parametrize(
+    ("typed", "read"),
+    [(["400 kPa"], 4e5), (["four", "390 kPa"], 3.9e5), (["400 bar", "400 kPa"], 4e5), (["400 bar", "400 bar"], 4e7)],
+)
+def test_a_reading_in_another_unit_is_asked_again(typed, read):
+    """Of points up to 500 kPa; at the end all readings were lost, with advice about loads."""
+    left = iter(typed)
+    assert _reading(lambda: next(left), "pressure", 4e5, 2.5e5) == read
+    assert not list(left)
 
 
 def test_monitor_prints_lines_where_there_is_no_terminal(call, tmp_path):
