@@ -410,7 +410,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         result.traces.append(_trace(x, P, group[0]))
     result.findings += [Finding("doubt", one.of_jump) for one in jumps]
     if 1 < len(cells) == len(result.measured):
-        result.findings.append(Finding("doubt", ALONE))
+        result.findings.append(Finding("note", ALONE))
     result.estimates.sort(key=lambda e: e.method != LINE)
     result.note_lack(("force",))
     return result.analysis(cells=len(cells))
