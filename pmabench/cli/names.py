@@ -28,7 +28,7 @@ WIDTH = 80
 """Columns of a terminal that every line of advice fits."""
 
 
-class Named(click.ParamType):
+class Named(click.ParamType[str]):
     """A file of one kind by its path, or by the name of a shipped one."""
 
     name = "text"

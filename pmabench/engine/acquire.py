@@ -253,8 +253,8 @@ class Acquisition:
         """Take the new samples of every stream; with `single`, a lone sample is handled as plain numbers (faster)."""
         with self._lock:
             self._raise_trip()  # before a device is asked: the guard may have closed its line
-            stood, self._collected = self.clock.now() - self._collected, self.clock.now()
-            if self._realtime and stood > SILENCE:  # this program stood still, not its devices: the guard says so
+            paused, self._collected = self.clock.now() - self._collected, self.clock.now()
+            if self._realtime and paused > SILENCE:  # this program stopped, not its devices: the guard says so
                 for source in self._sources:
                     source.heard = self._collected
             if self._mute and self._collected - self._beaten > self._block:

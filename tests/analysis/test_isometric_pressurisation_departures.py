@@ -3,6 +3,7 @@
 F = 0.65 N/kPa (1 - x/60 mm) P - 30 N - 0.2 N/mm x, 0 where that is below; a loop of 10 N that turns within 16 kPa.
 """
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -88,6 +89,7 @@ def found(
     for name in lags if lags and declared else ():
         facts[name] = {**facts.get(name, {}), "sensor_lag": declared}
     run = as_run("isometric-pressurisation", trials, rate, {}, facts)
+    run = replace(run, manifest={"specimen": {**run.manifest["specimen"], "inner_diameter": 0.02}})
     return reduce_runs([run])[0] if gauge else reduction.reduce([run])
 
 

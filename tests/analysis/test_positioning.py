@@ -238,7 +238,7 @@ def test_the_description_of_a_model_comes_back() -> None:
 def test_a_loop_that_lost_its_signal_is_dropped_with_the_reason() -> None:
     good = held(28.8, 0.29, 0.03)
     lost = {**good.found["position"], "ended": "no signal", "found": False, "reason": "displacement gave no number"}
-    bad = TrialData(**{**good.__dict__, "found": {"position": lost}, "index": 1})
+    bad = replace(good, found={"position": lost}, index=1)
     analysis = reduced(good, bad)
     assert [d.reason for d in analysis.dropped] == ["displacement gave no number"]
     assert value(analysis, "e_ss").n == 1

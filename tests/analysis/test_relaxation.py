@@ -355,7 +355,7 @@ def test_a_gain_that_changes_within_a_hold_is_in_every_value_and_said(gain, sinc
 def test_a_gain_that_changes_between_two_trials_makes_another_muscle_and_that_it_would_not_show_is_said():
     """g(n) F_n for a gain of each trial is the record of a muscle with these forces: only a point done again differs."""
     found, said = reduce([holds(lambda n, _t, F: F * np.where(n > 2, 1.06, 1.0), POINTS)]), "would have, and nothing"
-    assert len([f for f in found.findings if f.level == "doubt" and said in f.text]) == 1
+    assert len([f for f in found.findings if said in f.text]) == 1
     repeated = reduce([holds(lambda _n, _t, F: F, [*POINTS, POINTS[0]])])
     assert not [f for f in repeated.findings if f.level == "doubt"]
 

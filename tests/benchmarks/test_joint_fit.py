@@ -65,7 +65,7 @@ def test_24_trials_are_fitted_faster_than_one_by_one(benchmark):
     whole, pooled = least(lambda: pool(found, {}), rounds)
     bare, _ = least(lambda: pool(found, {"replays": 0}), rounds)
     alone, papers = least(lambda: exponentials(found), rounds)
-    reported = {(e.symbol, e.at["pressure"]): e.value for e in estimates_of(found, pooled)[0] if e.at}
+    reported = {(e.symbol, e.at["pressure"]): e.value for e in estimates_of(pooled)[0] if e.at}
     off = [value / SERRES["B_c"](P) - 1 for (_, P), value in papers.items()]
     ours = [reported["B_c", P] / SERRES["B_c"](P) - 1 for _, P in papers]
     print(

@@ -22,7 +22,7 @@ ALONE = 4.0
 
 def alone():
     """Samples of a platform that 3 pulses a second and muscle turn, as many as a run has."""
-    plant = PlatformPlant(noise=0.0)
+    plant = PlatformPlant()
     for number in range(1, round(ALONE * 500) + 1):
         if number % 167 == 0:
             plant.pulse("fill" if number % 2 else "exhaust", number % 3, 0.01)

@@ -106,7 +106,7 @@ LATE = (Hold("rest", 3.0), *HOLD)
         (limit("following", high=60e3, delay=0.3), {"supply_lost_at": 9.0}, "confirmed"),
     ],
 )
-def test_a_gauge_that_ended_the_run_as_it_stands_still_confirms_no_vent(trip, faults, result):
+def test_a_gauge_that_ended_the_run_as_it_does_not_move_confirms_no_vent(trip, faults, result):
     """It reads 0 with 300 kPa in the muscle; one that reads high, and then falls, confirms."""
     outcome = execute(limited(trip, faults=faults), LATE)
     assert event(outcome, "trip")[1]["limit"] == trip.kind

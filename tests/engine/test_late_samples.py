@@ -90,7 +90,7 @@ def test_what_was_not_collected_while_the_bench_was_armed_is_no_silence():
             acquisition.pass_time(0.4)
 
 
-def test_a_program_that_stood_still_blames_no_device():
+def test_a_program_that_was_stopped_blames_no_device():
     """Stopped for 3 s: the record named a gauge that had sent all the time, and not what the guard says."""
     acquisition, _ = sampling(lambda now: 0.001 if now < 1.0 or now > 4.05 else now - 1.0)
     acquisition.pass_time(1.0)

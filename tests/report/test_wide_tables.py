@@ -72,7 +72,7 @@ def test_plain_numbers_take_less_room():
     assert len(narrow(Table("", Frame(rows)))) == 2
 
 
-def test_what_is_said_of_many_rows_stands_below_once():
+def test_what_is_said_of_many_rows_is_below_once():
     """The column of notes took half of the PDF's pages: its sentences, each once, are below, numbers in their place."""
     said = ["a; b", "", "b", "b; c"]
     made = grid(Frame([{"K": str(n), "note": note} for n, note in enumerate(said)]), notes="note")

@@ -40,7 +40,7 @@ def without_model(
     truth, hold = ultimate(loop), 0.5 * float(t[1] - t[0])
     omega = 2 * pi / truth.period
     w = AROUND * omega
-    made = loop.response(1j * w)
+    made = loop.response(np.asarray(1j * w, dtype=np.complex128))
     lag = np.array([loop.phase_lag(one) for one in w])
     found = []
     for cycle in cycles:
