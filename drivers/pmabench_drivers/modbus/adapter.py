@@ -318,14 +318,18 @@ class Line:
         """As `_ask_once`; sent again while the device answers that it is busy, as the specification asks for.
 
         Neither a sample nor a step of a ramp: the next one comes soon enough. A value that is written twice is the
-        same value.
+        same value. A device that stays busy refuses a command: whoever vents then leaves it to its watchdog, which
+        further requests would feed.
         """
         while True:
             try:
                 return self._ask_once(send, wanted, deadline, what, still, sample=sample)
-            except Busy:
-                if sample or still is not always or monotonic() + AGAIN >= deadline:
+            except Busy as busy:
+                if sample or still is not always:
                     raise
+                if monotonic() + AGAIN >= deadline:
+                    refuses = wanted[0] > LAST_READ and not self._owed
+                    raise (NotSent(busy.device, busy.message, what) if refuses else busy) from None
                 sleep(AGAIN)
 
     def _ask_once(
