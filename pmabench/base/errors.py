@@ -83,6 +83,10 @@ class NotSent(DeviceError):
     """A command that is not carried out later: the driver refused to send it, or the device answered otherwise."""
 
 
+class Busy(DeviceError):
+    """The device answers that it does something else first; it may carry a command out later."""
+
+
 class LimitRefused(PmaError):
     """A command outside a limit was requested; nothing was sent."""
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from math import inf, nan
 
-from pmabench.base.errors import NotSent
+from pmabench.base.errors import Busy, NotSent
 from pmabench.base.quantities import CHANNEL_QUANTITY, QUANTITIES
 from pmabench.bench.interface import SafeAction
 from pmabench.guard.owner import PATIENCE, Call
@@ -206,7 +206,7 @@ class SafeState:
         self.away: set[str] = set()
         """Those of them whose device must be opened again."""
         self.refusing: set[str] = set()
-        """Targets whose device answers, and does not obey: it refused the command, or holds something else."""
+        """Targets whose device answers, and does not obey: it refused the command, is busy, or holds something else."""
         self.unmoved: set[str] = set()
         """Channels that have not fallen, or not come to rest, after all commands."""
         self.commands: list[SafeAction] = []
@@ -430,7 +430,7 @@ class SafeState:
         elif not again:
             self._again[self._at_once(sent.action) if sent.action.do == "ramp" else sent.action] = sent
             self.fault(f"{name}: failed ({wrong})")
-        refuses = bool(wrong and (sent.said() or isinstance(way.error, NotSent)))
+        refuses = bool(wrong and (sent.said() or isinstance(way.error, NotSent | Busy)))
         (self.refusing.add if refuses else self.refusing.discard)(target)
         if wrong and not refuses:
             self.missing.setdefault(target, now)

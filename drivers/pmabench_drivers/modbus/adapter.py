@@ -26,7 +26,7 @@ from pymodbus.client import ModbusSerialClient, ModbusTcpClient  # noqa: TID253 
 from pymodbus.exceptions import ConnectionException, ModbusException  # noqa: TID253
 from pymodbus.framer import FramerRTU  # noqa: TID253
 
-from pmabench.base.errors import DeviceError, NotSent
+from pmabench.base.errors import Busy, DeviceError, NotSent
 from pmabench.bench.interface import COMPUTER, Identity
 from pmabench_drivers.modbus.registers import BIT_TABLES, READ
 from pmabench_drivers.shared.link import Still, Unanswered, always, reason, turn, who
@@ -62,10 +62,6 @@ NO_REFUSAL = (5, 6, 10, 11)
 
 BUSY, AGAIN = 6, 0.02
 """Exception of a device that does something else first; time after which it is asked again [s]."""
-
-
-class Busy(DeviceError):
-    """The device answers that it is busy: ask again later."""
 
 
 CALLS = {
@@ -318,18 +314,14 @@ class Line:
         """As `_ask_once`; sent again while the device answers that it is busy, as the specification asks for.
 
         Neither a sample nor a step of a ramp: the next one comes soon enough. A value that is written twice is the
-        same value. A device that stays busy refuses a command: whoever vents then leaves it to its watchdog, which
-        further requests would feed.
+        same value.
         """
         while True:
             try:
                 return self._ask_once(send, wanted, deadline, what, still, sample=sample)
-            except Busy as busy:
-                if sample or still is not always:
+            except Busy:
+                if sample or still is not always or monotonic() + AGAIN >= deadline:
                     raise
-                if monotonic() + AGAIN >= deadline:
-                    refuses = wanted[0] > LAST_READ and not self._owed
-                    raise (NotSent(busy.device, busy.message, what) if refuses else busy) from None
                 sleep(AGAIN)
 
     def _ask_once(
