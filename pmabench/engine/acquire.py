@@ -91,6 +91,8 @@ class Acquisition:
         self._watch: Watch | None = Watch(bench.trips, bench.channels, self.commanded)
         self._bench = bench
         self._tripped: Exception | None = None
+        self.doubted = ""
+        """Channel that reads low, and does not follow its command or stands still: it confirms no vent; or empty."""
         self._lock = threading.RLock()
         self._stop: Stop | None = None
         self._stopped: float | None = None
@@ -319,12 +321,6 @@ class Acquisition:
             self._end_by(LimitTripped(why))
             self._raise_trip()
 
-    @property
-    def doubted(self) -> str:
-        """The channel that ended the run since it does not follow its command, or stands still; or empty."""
-        ended = self._tripped.trip.limit if isinstance(self._tripped, Tripped) else None
-        return ended.channel if ended is not None and ended.kind in {"following", "frozen"} else ""
-
     def _end_by(self, error: Exception) -> None:
         """Store the error for the executor to raise, and let the guard begin the safe state; only the first counts."""
         if self._tripped is None:
@@ -395,6 +391,9 @@ class Acquisition:
     def _act(self, trips: Sequence[Trip]) -> None:
         """Carry out the actions of the limits: warn, hold, or end the run."""
         for trip in trips:
+            if trip.limit.kind in {"following", "frozen"}:
+                low = trip.value < self._bench.hands_below
+                self.doubted = trip.limit.channel if low and not trip.over else ""
             if trip.limit.action in ENDS:
                 self._tripped = Tripped(trip)
                 if trip.limit.action == "vent":

@@ -304,8 +304,8 @@ class Guard:
     def begin_safe(self, *, tripped: bool = False, hurry: bool = False, why: str = "", doubted: str = "") -> None:
         """Begin the declared safe state; once it is over, only send its commands again.
 
-        `hurry` skips ramps and holds. The first `why` is kept. `doubted` is a channel that ended the run as it stands
-        still: if it reads low now, it confirms nothing until it has read high.
+        `hurry` skips ramps and holds. The first `why` is kept. `doubted` is a channel that reads low and may stand
+        still: it confirms nothing until it has read high.
         """
         self.why = self.why or why
         self._tripped = self._tripped or tripped or self.state is State.TRIPPED
@@ -325,7 +325,7 @@ class Guard:
                 (*self.bench.safe_state, *rests), self._begin, self._rescue, self._look, self.clock.now(),
                 self._floors, self._last_unanswered, motions.keys(), self._expected,
                 partial(self.supervision.compare_readings, {channel.device for channel in confirms}),
-                doubted * (self._measured.get(doubted, 0.0) < self.bench.hands_below),
+                doubted,
             )  # fmt: skip
             self._safe.faults += [UNANSWERED] if sent_late else []
         elif self._safe.vent is not None:

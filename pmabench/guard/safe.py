@@ -80,8 +80,8 @@ class _Watched:
 
     action: SafeAction
     floor: float
-    blind: bool
-    """Whether it may stand still: it ended the run as such a one, and has not been seen high since."""
+    blind: bool = False
+    """Whether it may stand still at its value, and so confirms nothing."""
     value: float | None = None
     seen: float = -inf
     """When the newest value came [s]."""
@@ -104,7 +104,7 @@ class _Watched:
         elif value != value:
             self.since = None  # a failed sensor (NaN) is no high value
         else:
-            self.since, self.bad, self.blind = None, now if self.bad is None else self.bad, False
+            self.since, self.bad = None, now if self.bad is None else self.bad
             self.most, self.place = max(self.most, value), value
             self.falls = not rest and value < 0.98 * self.most
         return before is not None and not good
@@ -127,10 +127,9 @@ class _Watched:
             return f"{name}: {measured}, {'at rest' if good else f'and not at rest {within}'}"
         if good:
             return f"{name}: {measured}, below {_shown(action)}"
-        if self.blind:
-            return f"{name}: {measured}, by a gauge that ended the run and has not moved: it confirms nothing"
         if value is not None and value < action.value:
-            measured += ", and not for long" if self.since is not None else ", which a broken wire reads"
+            wrong = ", and not for long" if self.since is not None else ", which a broken wire reads"
+            measured += ", by a gauge that has not moved: it confirms nothing" if self.blind else wrong
         return f"{name}: {measured}, not below {_shown(action)} {within}"
 
 
@@ -232,6 +231,7 @@ class SafeState:
     def step(self, now: float, latest: Mapping[str, float]) -> bool:
         """Do what can be done now, with the `latest` measured values [SI]; returns whether it is over."""
         self._gather(now)
+        self._blind *= not any(a.target == self._blind and latest.get(a.target, -inf) >= a.value for a in self._finals)
         for command, sent in list(self._again.items()):
             if command.target in self.unsettled and now - sent.since >= RETRY:
                 self._send_again(command, now)
@@ -361,10 +361,10 @@ class SafeState:
     def _looked_at(self, actions: list[SafeAction], now: float, latest: Mapping[str, float]) -> bool:
         """Whether all values are good at the same time, or their time is over; repeats the commands until then."""
         if not self._watched:
-            self._watched = [_Watched(a, self._floors.get(a.target, -inf), a.target == self._blind) for a in actions]
+            self._watched = [_Watched(action, self._floors.get(action.target, -inf)) for action in actions]
         late, back = self._late(), False
         for watched in self._watched:
-            value = latest.get(watched.action.target)
+            value, watched.blind = latest.get(watched.action.target), watched.action.target == self._blind
             back = (value is not None and watched.look(value, now)) or back
             watched.since = None if self._sent else watched.since
             if watched.unmoved(now) and watched.action.target in self._ends:

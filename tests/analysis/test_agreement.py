@@ -158,5 +158,5 @@ def test_many_small_differences_tell_what_none_does(beyond):
     found = compared(tests)
     assert found.facts == {"comparisons": 23, "beyond_intervals": beyond}
     doubts = [f.text for f in found.findings if f.level == "doubt"]
-    assert bool(doubts) == (binom.sf(beyond - 1, 23, 0.05) <= 0.01)
+    assert bool(doubts) == (binom.sf(beyond - 1, 23, 0.05) <= 1e-3)
     assert not found.refusals

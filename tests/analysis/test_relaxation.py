@@ -360,6 +360,17 @@ def test_a_gain_that_changes_between_two_trials_makes_another_muscle_and_that_it
     assert not [f for f in repeated.findings if f.level == "doubt"]
 
 
+@pytest.mark.parametrize(("rate", "s"), [(1.0, 0.06), (1.0, 0.08), (2.0, 0.08), (0.2, 0.03), (10.0, 0.05)])
+def test_a_slow_log_of_a_steep_course_has_no_jump(rate, s):
+    """At 1 Hz the course itself was a "jump" of 0.5 % at 19 s."""
+    t = np.arange(1.0 if rate >= 1 else 5.0, 600.0, 1 / rate)
+    y = 100 * (1 - s * np.log10(t)) + 0.01 * np.random.default_rng(0).normal(size=len(t))
+    assert Relaxing(t, y).jump == (0.0, 0.0)
+    size, since = Relaxing(t, y * np.where(t > 100, 1.02, 1.0)).jump
+    assert size == pytest.approx(0.02 * 100 * (1 - 2 * s), rel=0.15)
+    assert since == pytest.approx(100.0, abs=2 / rate)
+
+
 def test_what_the_pressure_or_slow_noise_makes_of_the_force_is_no_jump():
     """A blow of 0.3 s and a noise with a memory of 10 s, larger than the white one."""
     rng = np.random.default_rng(7)

@@ -104,13 +104,17 @@ LATE = (Hold("rest", 3.0), *HOLD)
         (limit("following", high=60e3, delay=0.3), {"pressure_stuck_at": 5.0}, "commanded"),
         (limit("frozen", delay=0.5), {"pressure_stuck_at": 5.0}, "commanded"),
         (limit("following", high=60e3, delay=0.3), {"supply_lost_at": 9.0}, "confirmed"),
+        (limit("following", high=60e3, delay=0.3, action="stop"), {"pressure_stuck_at": 5.0}, "commanded"),
+        (limit("following", high=60e3, delay=0.3, action="hold"), {"pressure_stuck_at": 5.0}, "commanded"),
     ],
 )
 def test_a_gauge_that_ended_the_run_as_it_does_not_move_confirms_no_vent(trip, faults, result):
     """It reads 0 with 300 kPa in the muscle; one that reads high, and then falls, confirms."""
-    outcome = execute(limited(trip, faults=faults), LATE)
-    assert event(outcome, "trip")[1]["limit"] == trip.kind
-    assert (outcome.vent.result, outcome.exit_code) == (result, 5)
+    made = limited(trip, faults=faults)
+    made = replace(made, bench=replace(made.bench, stop_rate=2e5))
+    outcome = execute(made, LATE)
+    assert outcome.vent.result == result
+    assert outcome.exit_code == 5
     assert any("has not moved: it confirms nothing" in text for text in outcome.vent.actions) == (result == "commanded")
 
 

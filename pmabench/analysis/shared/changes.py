@@ -94,12 +94,14 @@ def with_changes(
         others = reduction([_changed(run, changed.get(run.id)) for run in runs]).estimates
         widest = max(changed.values(), key=lambda one: abs(one.gain))
         shifts = [_apart(e, others, widest) for e in analysis.estimates]
-        largest = dict[tuple[str, str], float]()
+        largest = dict[tuple[str, str], tuple[float, float]]()
         for e, half in zip(analysis.estimates, shifts, strict=True):
-            if e.value and half is not None:
-                largest[e.symbol, e.method] = max(largest.get((e.symbol, e.method), 0.0), half / abs(e.value))
+            if e.value is not None and half is not None:
+                most, size = largest.get((e.symbol, e.method), (0.0, 0.0))
+                largest[e.symbol, e.method] = max(most, half), max(size, abs(e.value))
         for e, mine, shift in zip(analysis.estimates, doubts, shifts, strict=True):
-            share = max(abs(widest.gain), largest.get((e.symbol, e.method), 0.0))
+            most, size = largest.get((e.symbol, e.method), (0.0, 0.0))
+            share = max(abs(widest.gain), most / size if size else 0.0)
             half = share * abs(e.value or 0.0) if shift is None else shift
             if channel not in mine or half > mine[channel].half:
                 mine[channel] = Doubt(

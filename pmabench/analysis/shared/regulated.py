@@ -26,6 +26,10 @@ REGULATES = 0.01
 """Error of a regulator that is usual, as a share of the highest command [1]."""
 MORE = 1.2
 """Factor on the difference: at the end of a curve a value changes by less than elsewhere, and its error does not."""
+OTHER = 0.3
+"""Difference from which on gauge and command are in other units [1]."""
+WINDOW = 0.5
+"""Length of the parts of a trial that are looked at as a whole [s]."""
 
 
 def regulated(run: RunData) -> Change | None:
@@ -44,6 +48,11 @@ def regulated(run: RunData) -> Change | None:
     declared = hypot(info.offset_uncertainty, info.gain_uncertainty * highest) if info else 0.0
     if abs(share) * highest <= declared + REGULATES * top:
         return None
+    if abs(share) > OTHER:
+        text = (
+            f"{run.id}: at rest the pressure reads {1 + share:.2g} times its command: the unit of one of them is wrong"
+        )
+        return Change(PRESSURE, 0.0, 0.0, 0.0, text)
     text = (
         f"{run.id}: at rest the pressure reads {share:+.1%} off its command: the gauge or the regulator is off. "
         "Intervals hold either. Compare the gauge with another one"
@@ -61,16 +70,21 @@ def _rests(trial: TrialData, top: float) -> Iterator[tuple[float, float]]:
     for begin, end in _constant(t, sent, SAME * top):
         quarter = (t[begin:end] > 0.25 * t[begin] + 0.75 * t[end - 1]).nonzero()[0] + begin
         before, after = np.array_split(quarter, 2)
-        if sent[begin] > HIGH * top and len(before) and abs(P[before].mean() - P[after].mean()) < REST * top:
+        if sent[begin] > HIGH * top and len(after) and abs(P[before].mean() - P[after].mean()) < REST * top:
             yield float(sent[quarter].mean()), float(P[quarter].mean())
 
 
 def _constant(t: Array, sent: Array, same: float) -> Iterator[tuple[int, int]]:
     """First sample, and one past the last, of each stretch of `LASTS` and more with a command within `same` [Pa]."""
-    begin = 0
-    while begin < len(t):
-        away = np.abs(sent[begin:] - sent[begin]) > same
-        end = begin + int(np.argmax(away)) if away.any() else len(t)
-        if t[end - 1] - t[begin] >= LASTS:
-            yield begin, end
-        begin = end
+    starts = np.unique(np.searchsorted(t, np.arange(t[0], t[-1], WINDOW))) if len(t) > 1 else np.zeros(1, dtype=np.intp)
+    low, high = np.minimum.reduceat(sent, starts).tolist(), np.maximum.reduceat(sent, starts).tolist()
+    ends = [*starts[1:].tolist(), len(t)]
+    first, least, most = 0, inf, -inf
+    for n, end in enumerate(ends):
+        if max(most, high[n]) - min(least, low[n]) > same:
+            if n > first and t[ends[n - 1] - 1] - t[starts[first]] >= LASTS:
+                yield int(starts[first]), ends[n - 1]
+            first, least, most = n, inf, -inf
+        least, most = min(least, low[n]), max(most, high[n])
+        if end == len(t) and most - least <= same and t[-1] - t[starts[first]] >= LASTS:
+            yield int(starts[first]), end

@@ -168,8 +168,10 @@ def weighted(pairs: Sequence[tuple[Estimate, float]], symbol: str) -> Estimate:
 KIND = "agreement"
 FALSE_ALARM = 0.01
 """Probability of a false contradiction in all comparisons of one specimen together."""
-BEYOND = 0.05
-"""Share of differences beyond their intervals by chance."""
+BEYOND, UNLIKELY, MANY = 0.05, 1e-3, 5
+"""Share of differences beyond their intervals by chance; probability of a count of them that chance does not make, and
+the least count: differences at neighbouring places have causes in common.
+"""
 FEWEST = 3
 """Least degrees of freedom of a scatter; that of a single trial is the scatter of its cycles."""
 OF_FORM = ("F_ce", "F", "K")
@@ -345,7 +347,7 @@ def _sentence(group: Sequence[Comparison], count: int) -> Finding:
 def _many(beyond: int, count: int) -> list[Finding]:
     """A doubt where more differences are beyond their intervals than chance makes: one alone may tell nothing."""
     likely = [comb(count, n) * BEYOND**n * (1 - BEYOND) ** (count - n) for n in range(beyond)]
-    if 1 - sum(likely) > FALSE_ALARM:
+    if beyond < MANY or 1 - sum(likely) > UNLIKELY:
         return []
     text = f"{beyond} of {count} differences between the tests are beyond their intervals, where chance makes"
     return [Finding("doubt", f"{text} {max(1, round(BEYOND * count))}: a sensor, or the specimen, was not the same")]

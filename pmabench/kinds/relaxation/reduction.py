@@ -93,14 +93,18 @@ class Relaxing:
 
         What the line through the medians of the next samples before and after has, is no step.
         """
-        n = JUMPS_OVER
-        near = np.median(np.lib.stride_tricks.sliding_window_view(self.y, n), axis=1)
-        steps = 1.5 * (near[2 * n : -n] - near[n : -2 * n] - (near[3 * n :] - near[: -3 * n]) / 3)
-        if not len(steps):
+        over, n = np.log10(self.t), JUMPS_OVER
+
+        def steps(y: Array) -> Array:
+            near = np.median(np.lib.stride_tricks.sliding_window_view(y, n), axis=1)
+            return np.asarray(1.5 * (near[2 * n : -n] - near[n : -2 * n] - (near[3 * n :] - near[: -3 * n]) / 3))
+
+        found, beyond = steps(self.y), np.abs(steps(self.y - np.polyval(np.polyfit(over, self.y, 1), over)))
+        if not len(found):
             return 0.0, 0.0
-        size, place = np.abs(steps), int(np.argmax(np.abs(steps)))
-        least = max(JUMPS * float(np.median(size)) / 0.6745, LEAST_JUMP * abs(float(self.y.mean())))
-        return (float(steps[place]), float(self.t[place + 2 * n])) if size[place] > least else (0.0, 0.0)
+        least = max(JUMPS * float(np.median(beyond)) / 0.6745, LEAST_JUMP * abs(float(self.y.mean())))
+        place = int(np.argmax(np.abs(found) * (beyond > least)))
+        return (float(found[place]), float(self.t[place + 2 * n])) if beyond[place] > least else (0.0, 0.0)
 
     def _of_parts(self, weights: Array) -> Array:
         """Weights of samples from those of the parts' means."""

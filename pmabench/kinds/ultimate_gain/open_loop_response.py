@@ -8,7 +8,7 @@ response at any frequency. Uses commands and displacement alone.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import exp, pi
+from math import exp, inf, pi
 
 import numpy as np
 
@@ -24,6 +24,7 @@ CHANCE = 0.003
 """Difference of K_u or T_u beyond the scatter of the cycles that has no meaning, as a share [1]."""
 MOST = 0.1
 """Difference from which on the fitted loop is wrong, as a share [1]."""
+UNREADABLE = "the displacement's own response to the steps cannot be read near 1 / T_u: take other holds between them"
 REASON = (
     "the displacement alone, without a model, gives K_u {:+.0%} and T_u {:+.0%} off the fitted loop: the muscle "
     "creeps, or has parts that the loop has not. Find K_u in a closed loop"
@@ -52,6 +53,8 @@ def without_model(
         crossing = float(np.interp(pi, lag - np.polyval(turn, w - omega), w))
         gain = float(np.interp(crossing, w, np.log(np.abs(made)))) + float(np.polyval(size, crossing - omega))
         found.append((exp(-gain) / truth.gain - 1, omega / crossing - 1))
+    if not np.isfinite(found).all():
+        return Doubt("response without a model", "method", 0.0, True, UNREADABLE, MOST), (inf, inf)
     K, T = np.mean(found, axis=0).tolist()
     by_K, by_T = (spread([one[i] for one in found]) or 0.0 for i in (0, 1))
     seen = abs(K) > by_K + CHANCE or abs(T) > by_T + CHANCE
