@@ -231,6 +231,22 @@ def test_what_a_broken_wire_reads_confirms_nothing(low, trip, value, result):
     assert ("broken wire" in vent.actions[-1]) == (result == "commanded")
 
 
+@pytest.mark.parametrize(
+    ("readings", "result"),
+    [((0.0,), "commanded"), ((-5e4, 0.0), "commanded"), ((3e5, 0.0), "confirmed")],
+)
+def test_a_gauge_that_may_stand_still_confirms_once_it_has_read_high(readings, result):
+    """Neither what it read all the time, nor what a broken wire reads in between, is a sign of life."""
+    channel = replace(DEVICE.channels[0], low=-1e5)
+    guard, _ = armed(bench(replace(DEVICE, channels=(channel, *DEVICE.channels[1:]))))
+    guard.begin_safe(doubted="pressure")
+    left = list(readings)
+    while (vent := advance(guard, 0.05, {**LOW, "pressure": left.pop(0) if len(left) > 1 else left[0]})) is None:
+        assert guard.clock.now() < 60.0
+    assert vent.result == result
+    assert any("has not moved: it confirms nothing" in text for text in vent.actions) == (result == "commanded")
+
+
 @pytest.mark.parametrize("call", ["write", "switch", "halt"])
 def test_an_action_that_fails_goes_over_the_second_way_where_there_is_one(call):
     guard, rig = armed()
