@@ -76,7 +76,9 @@ def _rests(trial: TrialData, top: float) -> Iterator[tuple[float, float]]:
 
 def _constant(t: Array, sent: Array, same: float) -> Iterator[tuple[int, int]]:
     """First sample, and one past the last, of each stretch of `LASTS` and more with a command within `same` [Pa]."""
-    starts = np.unique(np.searchsorted(t, np.arange(t[0], t[-1], WINDOW))) if len(t) > 1 else np.zeros(1, dtype=np.intp)
+    if len(t) < 2 or not LASTS <= t[-1] - t[0] < WINDOW * len(t) or np.any(np.diff(t) < 0):
+        return  # too short, fewer samples than windows, or times that go back
+    starts = np.unique(np.searchsorted(t, np.arange(t[0], t[-1], WINDOW)))
     low, high = np.minimum.reduceat(sent, starts).tolist(), np.maximum.reduceat(sent, starts).tolist()
     ends = [*starts[1:].tolist(), len(t)]
     first, least, most = 0, inf, -inf
