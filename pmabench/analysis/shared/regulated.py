@@ -7,7 +7,7 @@ whatever the regulator does; so both are held in their intervals, and nothing is
 from __future__ import annotations
 
 from collections.abc import Iterator
-from math import hypot, inf
+from math import hypot, inf, isfinite
 
 import numpy as np
 
@@ -28,6 +28,8 @@ MORE = 1.2
 """Factor on the difference: at the end of a curve a value changes by less than elsewhere, and its error does not."""
 OTHER = 0.3
 """Difference from which on gauge and command are in other units [1]."""
+RATE = 40.0
+"""Samples a second that are looked at."""
 WINDOW = 0.5
 """Length of the parts of a trial that are looked at as a whole [s]."""
 
@@ -37,9 +39,10 @@ def regulated(run: RunData) -> Change | None:
 
     They agree within what is declared for the gauge and the usual error of a regulator.
     """
-    sent = [trial.channels[SENT] for trial in run.trials if SENT in trial.channels and PRESSURE in trial.channels]
+    every = max(1, round(run.rate / RATE)) if isfinite(run.rate) else 1
+    sent = [t.channels[SENT][::every] for t in run.trials if SENT in t.channels and PRESSURE in t.channels]
     top = max((float(np.nanmax(one)) for one in sent if np.isfinite(one).any()), default=0.0)
-    rests = [rest for trial in run.trials for rest in _rests(trial, top)]
+    rests = [rest for trial in run.trials for rest in _rests(trial, top, every)]
     if not rests:
         return None
     levels = grouped(rests, lambda rest: round(rest[0] / top, 2))
@@ -60,13 +63,13 @@ def regulated(run: RunData) -> Change | None:
     return Change(PRESSURE, 1 / (1 + MORE * share) - 1, 0.0, 0.0, text, "gauge against command", inf)
 
 
-def _rests(trial: TrialData, top: float) -> Iterator[tuple[float, float]]:
-    """Command and mean pressure [Pa] at the end of each constant command at which the pressure is at rest."""
+def _rests(trial: TrialData, top: float, every: int) -> Iterator[tuple[float, float]]:
+    """Command and mean pressure [Pa] at the end of each constant command, at rest; of one in `every` samples."""
     if trial.status != "finished" or not {PRESSURE, SENT} <= set(trial.channels):
         return
-    P, sent = trial.channels[PRESSURE], trial.channels[SENT]
-    good = trial.usable & np.isfinite(P) & np.isfinite(sent)
-    t, P, sent = trial.t[good], P[good], sent[good]
+    P, sent = trial.channels[PRESSURE][::every], trial.channels[SENT][::every]
+    good = trial.usable[::every] & np.isfinite(P) & np.isfinite(sent)
+    t, P, sent = trial.t[::every][good], P[good], sent[good]
     for begin, end in _constant(t, sent, SAME * top):
         quarter = (t[begin:end] > 0.25 * t[begin] + 0.75 * t[end - 1]).nonzero()[0] + begin
         before, after = np.array_split(quarter, 2)
