@@ -6,9 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from pmabench.analysis.shared.samples import Noise, Samples
-from pmabench.kinds.contraction_relaxation.segments import Gate, cut, moved, noise_seen, velocity
+from pmabench.kinds.contraction_relaxation.diagnosis import held_out
+from pmabench.kinds.contraction_relaxation.segments import Gate, cut, gather, moved, noise_seen, velocity
+from pmabench.store.records import Command, TrialData
+from tests.analysis.judged_forms import as_run
 
 RATE = 500.0
 B, K, F_CE, F_L, TAU = 1500.0, 6000.0, 300.0, 100.0, 0.25
@@ -114,6 +118,47 @@ def test_noise_of_a_channel_that_is_interpolated_counts_for_the_samples_that_the
     means = P[100:19_100].reshape(-1, 20).mean(axis=1)
     assert noise == pytest.approx(500 * np.sqrt(10), rel=0.1)
     assert means.std() == pytest.approx(noise / np.sqrt(20), rel=0.25)
+
+
+def white(rng: np.random.Generator) -> Samples:
+    """20 samples of rest with white noise of 1 on the displacement."""
+    still = np.zeros(20)
+    return Samples(0, still, still, rng.standard_normal(20), None, np.ones(20, dtype=np.bool_), F_L, 0.5)
+
+
+def test_noise_of_short_rests_is_as_uncertain_as_its_degrees_of_freedom_say():
+    rng, rests = np.random.default_rng(2), [slice(0, 20)] * 8
+    found = [noise_seen([white(rng) for _ in rests], rests) for _ in range(400)]
+    freedom = found[0][2]["displacement"]
+    sizes = np.array([noise.displacement for noise, _, _ in found])
+    assert sizes.mean() == pytest.approx(1.0, abs=0.03)
+    assert sizes.std() == pytest.approx(np.sqrt(1 / (2 * freedom)), rel=0.15)
+
+
+@pytest.mark.parametrize(("n", "m"), [(50, 24), (470, 130), (470, 1e6), (2000, 60)])
+def test_the_largest_ratio_of_two_variances_by_chance(n, m):
+    assert held_out._largest(4.0, n, m) == pytest.approx(stats.f.isf(stats.norm.sf(4.0), n, m), rel=0.03)
+
+
+def test_a_slow_gauge_shows_its_noise_in_all_rests_of_few_trials():
+    """At 50 Hz the last fifth of a short hold has 10 values, of which the noise came out up to a third too small."""
+    rows, own = np.arange(2000), np.arange(202) * 10
+    commands = tuple(Command(at, "pressure", "set", 1e5, 0.0, "", {}) for at in (0.0, 2.0))
+    found = []
+    for seed in range(40):
+        rng, trials = np.random.default_rng([7, seed]), []
+        for number in range(6):
+            P = np.interp(rows + rng.integers(10), own, 3e5 + 500 * rng.standard_normal(len(own)))
+            channels = {"pressure": P, "displacement": np.zeros(2000)}
+            flags, point = np.zeros(2000, np.uint16), {"pressure": 3e5, "load": 50.0}
+            trials.append(
+                TrialData("judged", number, point, 0, False, "finished", rows / RATE, channels, flags, commands, {})
+            )
+        campaign, _ = gather([as_run("contraction-relaxation", trials, RATE, {}, {"pressure": {"rate": 50.0}})])
+        found.append(campaign.noise.pressure / (500 * np.sqrt(10)))
+    assert np.mean(found) == pytest.approx(1.0, abs=0.05)
+    assert np.std(found) < 0.1  # 0.17 of one rest each
+    assert np.std(found) == pytest.approx(np.sqrt(1 / (2 * campaign.freedom["pressure"])), rel=0.3)
 
 
 @pytest.mark.parametrize("channel", ["pressure", "displacement", "force"])

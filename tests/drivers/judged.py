@@ -19,6 +19,10 @@ SURE = 1.7
 two in one of a hundred and forty. How often intervals hold is tested where runs are cheap (tests/analysis/test_coverage.py)."""
 
 
+class Withheld(AssertionError):
+    """Coefficients are not given, and none that is given is wrong."""
+
+
 def assert_coefficients(found, relative, widest=None):
     """F_ce, K, B_c and B_r at 300 and 400 kPa within `relative` of the truth, by symbol.
 
@@ -28,6 +32,7 @@ def assert_coefficients(found, relative, widest=None):
     """
     problems: list[str] = []
     missed: list[str] = []
+    withheld: list[str] = []
     for symbol, true_at in TRUTH.items():
         for P in (300, 400):
             if (symbol, P) == ("B_r", 400):
@@ -35,7 +40,7 @@ def assert_coefficients(found, relative, widest=None):
             estimate, true = found[symbol, P], true_at(P)
             value, interval = estimate["value"], estimate["ci95"]
             if value is None:
-                problems.append(f"{symbol} at {P} kPa: {estimate['note']}")
+                withheld.append(f"{symbol} at {P} kPa: {estimate['note']}")
                 continue
             half = (interval[1] - interval[0]) / 2 / abs(value)
             line = f"{symbol} at {P} kPa: {value:.5g} for {true:.5g}, {value / true - 1:+.2%}, interval +-{half:.2%}"
@@ -49,6 +54,8 @@ def assert_coefficients(found, relative, widest=None):
                 problems.append(line)
     assert not problems, "\n".join(problems)
     assert len(missed) <= 1, "\n".join(missed)
+    if withheld:
+        raise Withheld("\n".join(withheld))
 
 
 HARDWARE_TIMED = {"K": 0.005, "F_ce": 0.005, "B_c": 0.02, "B_r": 0.02}
@@ -60,15 +67,16 @@ B_OF_POLLED = {"B_c": 0.05, "B_r": 0.05}
 def assert_gives_back(run, protocol, relative, widest=None):
     """A whole run that ends well, vents, and gives the coefficients back; see `assert_coefficients`.
 
-    Once more where the machine was so busy that polls took long: the intervals say that, and are too wide then.
+    Once more where values are withheld, which a test of the form does by chance in one of a hundred campaigns (twice: of
+    ten thousand); and where the machine was so busy that polls took long: the intervals say that, and are too wide then.
     """
     run.carried_out(protocol)
     try:
         assert_coefficients(run.coefficients(), relative, widest)
-    except AssertionError:
-        if os.getloadavg()[0] < 1.5 * (os.cpu_count() or 1):
+    except AssertionError as failed:
+        if not isinstance(failed, Withheld) and os.getloadavg()[0] < 1.5 * (os.cpu_count() or 1):
             raise
-        print(f"again, since the machine is busy: {os.getloadavg()[0]:.1f} processes wait for {os.cpu_count()}")
+        print(f"again, {os.getloadavg()[0]:.1f} processes wait for {os.cpu_count()}: {failed}")
         run.carried_out(protocol)
         assert_coefficients(run.coefficients(), relative, widest)
 

@@ -247,10 +247,17 @@ def _places(usable: NDArray[np.bool_], v: Array, n: int, m: int, gate: Gate) -> 
     return np.concatenate(starts), np.concatenate(ways)
 
 
+OF_MEDIANS = 5.6
+"""Third differences for one degree of freedom of a median of `noise_of`: they overlap (2.3), and medians know less than
+squares.
+"""
+
+
 def noise_seen(
     stretches: Sequence[Samples], still: Sequence[slice], every: Mapping[str, int] | None = None
-) -> tuple[Noise, Noise]:
-    """Noise of each channel, and the part that the steps of its values alone make (step / sqrt(12)).
+) -> tuple[Noise, Noise, dict[str, float]]:
+    """Noise of each channel, the part that the steps of its values alone make (step / sqrt(12)), and its degrees of
+    freedom by field, as of a variance.
 
     The noise is the median over the stretches, each in its rows `still` where nothing moves, over the longest run of
     usable samples. It is at least that of the steps, which rest does not show. `every` gives k for channels with a new
@@ -258,18 +265,19 @@ def noise_seen(
     as white noise sqrt(k) times as large.
     """
 
-    def typical(name: str) -> tuple[float, float]:
-        values, widths, k = [], [], (every or {}).get(name, 1)
+    def typical(name: str) -> tuple[float, float, float]:
+        values, widths, thirds, k = [], [], 0, (every or {}).get(name, 1)
         for samples, column, rows in _at_rest(stretches, still, name):
             if samples.ok.any():
                 widths.append(np.sqrt(k / 12.0) * _step(column if samples.ok.all() else column[samples.ok]))
                 if len(rows) >= FEWEST_STILL * k:
                     seen = max(noise_of(rows[first::k]) for first in range(k))
                     values.append(max(np.sqrt(k) * seen, widths[-1]))
-        return _median(values), _median(widths)
+                    thirds += len(rows) // k - 3
+        return _median(values), _median(widths), thirds / OF_MEDIANS
 
-    noise, steps = zip(*map(typical, FIELDS), strict=True)
-    return Noise(*noise), Noise(*steps)
+    noise, steps, freedom = zip(*map(typical, FIELDS), strict=True)
+    return Noise(*noise), Noise(*steps), dict(zip(vars(Noise()), freedom, strict=True))
 
 
 def noise_of_means(stretches: Sequence[Samples], still: Sequence[slice], over: int, least: Noise) -> Noise:
@@ -362,6 +370,8 @@ class Campaign:
     """White noise with the scatter of means over a segment, where larger: smooth noise, for instance after filters."""
     between: Mapping[str, float]
     """Channel -> time between new values [s] where it is read less often than recorded; 0 for others."""
+    freedom: Mapping[str, float]
+    """Channel -> degrees of freedom of its `noise`."""
 
     @property
     def pressure_step(self) -> float:
@@ -423,13 +433,21 @@ def gather(runs: Sequence[RunData]) -> tuple[Campaign | None, list[Dropped]]:
     samples = tuple(samples_of(run, trial, number) for number, (run, trial) in enumerate(members))
     still = [settled(trial) for _, trial in members]
     between = {channel: _between([trial for _, trial in members], channel) for channel in CHANNELS}
-    noise, steps = noise_seen(samples, still, _every(runs, between))
+    every = _every(runs, between)
+    noise, steps, freedom = noise_seen(samples, still, every)
+    if slow := [name for name, k in zip(freedom, every.values(), strict=True) if k > 1]:  # few values in one rest
+        rests = [
+            (one, half) for one, (_, trial) in zip(samples, members, strict=True) for half in _second_halves(trial)
+        ]
+        of_all, _, known = noise_seen([one for one, _ in rests], [half for _, half in rests], every)
+        noise = replace(noise, **{name: getattr(of_all, name) for name in slow})
+        freedom |= {name: known[name] for name in slow}
     keys = [(round(trial.point.get("load", 0.0), 3), round(trial.point["pressure"])) for _, trial in members]
     numbers = {key: number for number, key in enumerate(sorted(set(keys)))}
     rate, cells = runs[0].rate, np.array([numbers[key] for key in keys], dtype=np.intp)
     of_means = noise_of_means(samples, still, Gate().samples(rate)[0], noise)
     trials, cell = tuple(trial for _, trial in members), all(s.force is not None for s in samples)
-    return Campaign(tuple(runs), trials, samples, cells, rate, cell, noise, steps, of_means, between), dropped
+    return Campaign(tuple(runs), trials, samples, cells, rate, cell, noise, steps, of_means, between, freedom), dropped
 
 
 def _every(runs: Sequence[RunData], between: Mapping[str, float]) -> dict[str, int]:
@@ -484,6 +502,11 @@ def resting(samples: Samples, trial: TrialData) -> NDArray[np.bool_]:
     """Which samples are usable and before the first pressure command, shape (n,)."""
     first = min((c.t for c in trial.commands if c.output == "pressure"), default=-np.inf)
     return np.asarray(samples.ok & (samples.t < first))
+
+
+def _second_halves(trial: TrialData) -> list[slice]:
+    """The second half of the hold after each pressure command."""
+    return [slice((rows.start + rows.stop) // 2, rows.stop) for rows in strokes(trial)]
 
 
 def settled(trial: TrialData, number: int = 0) -> slice:

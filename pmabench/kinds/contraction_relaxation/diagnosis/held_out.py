@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.shared import student
+from pmabench.analysis.shared.samples import Noise
 from pmabench.kinds.contraction_relaxation.diagnosis.columns import FINER, allowed
 from pmabench.kinds.contraction_relaxation.diagnosis.corrections import TIMES
 from pmabench.kinds.contraction_relaxation.intervals import NORMAL, Correction
@@ -112,8 +113,20 @@ class Test:
 
     @property
     def most_ratio(self) -> float:
-        """Ratio from which on the form is doubted."""
-        return max(MOST_RATIO, sqrt(1 + SURE * sqrt(2 / self._left_out[1])))
+        """Ratio from which on the form is doubted: more than so few rows, and noise from so short rests, explain."""
+        return max(MOST_RATIO, sqrt(_largest(SURE, self._left_out[1], self._freedom)))
+
+    @cached_property
+    def _freedom(self) -> float:
+        """Degrees of freedom of the noise, from those of each channel by its share (Satterthwaite)."""
+        noise, known = vars(self.campaign.noise), self.campaign.freedom
+        parts = {
+            name: float(noise_covariance(self.segments, self.fit, Noise(**{name: size}))[0].mean())
+            for name, size in noise.items()
+            if size > 0 and known[name] > 0
+        }
+        square = sum(part**2 / known[name] for name, part in parts.items())
+        return sum(parts.values()) ** 2 / square if square else inf
 
     @cached_property
     def _pairs(self) -> NDArray[np.intp]:
@@ -136,7 +149,7 @@ class Test:
     @property
     def doubted(self) -> bool:
         """Whether the data contradict the form."""
-        return self.ratio >= self.most_ratio or self.alike >= self.most_alike
+        return (self.ratio >= MOST_RATIO and self.ratio >= self.most_ratio) or self.alike >= self.most_alike
 
     @property
     def excess(self) -> float:
@@ -227,6 +240,17 @@ def _scatter(campaign: Campaign, segments: Segments, residual: Array, own: Array
     off = mean - (np.bincount(cell, mean) / members)[cell]
     expected = float(np.sum(noise * (1 - 1 / members[cell])))
     return max(0.0, (float(off @ off) - expected) / freedom)
+
+
+def _largest(z: float, n: float, m: float) -> float:
+    """F of n and m degrees of freedom at `z` standard deviations (Abramowitz and Stegun 1964, 26.6.15); inf where m is
+    so small that none is too large.
+    """
+    a, b = 2 / (9 * n), 2 / (9 * m)
+    under = (1 - b) ** 2 - z**2 * b
+    if under <= 0:
+        return inf
+    return (((1 - a) * (1 - b) + z * sqrt(a * (1 - b) ** 2 + b * (1 - a) ** 2 - z**2 * a * b)) / under) ** 3
 
 
 def _mean_without(squares: Array, share: float) -> float:
