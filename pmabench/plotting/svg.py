@@ -5,12 +5,16 @@ from __future__ import annotations
 import re
 
 SYMBOL = re.compile(
-    r"(?<![\w-])(?P<base>[A-Za-z]|tau|phi|eta|eps|omega|theta|alpha)(?:_(?P<sub>[A-Za-z]{1,4}|\d))?(?![\w'’-])"
+    r"(?<![\w-])(?P<base>[A-Za-z]|OS|tau|phi|psi|eta|eps|omega|theta|alpha)(?:_(?P<sub>[A-Za-z]{1,4}|\d))?(?![\w'’-])"
 )
-"""A symbol; without a subscript it counts only before a unit or an equals sign, or alone."""
+"""A symbol; without a subscript it counts only before a unit or an equals sign, or alone, unless it is Greek."""
 UNITS = {"N", "s", "J", "V", "A", "m"}
 """Letters that are a unit, not a symbol, when they are alone."""
-GREEK = {"tau": "τ", "phi": "φ", "eta": "η", "eps": "ε", "omega": "ω", "theta": "θ", "alpha": "α"}
+GREEK = {"tau": "τ", "phi": "φ", "psi": "ψ", "eta": "η", "eps": "ε", "omega": "ω", "theta": "θ", "alpha": "α"}
+
+
+PSI = re.compile(r"(?:^|(?<=, ))psi (?=\[|=|[-−]?\d)|^psi$")
+"""The angle psi; elsewhere it is a unit of pressure."""
 
 
 def symbol_parts(text: str) -> list[tuple[str, str]]:
@@ -23,6 +27,8 @@ def symbol_parts(text: str) -> list[tuple[str, str]]:
         whole = found.start() == 0 and (rest.startswith(", ") or (rest[:1] in ("", "/") and base not in UNITS))
         lone = whole or rest.startswith((" [", " = ", " over "))
         if sub is None and base not in GREEK and not lone:
+            continue
+        if base == "psi" and not PSI.match(text, found.start()):
             continue
         pieces += [("text", text[end : found.start()]), ("symbol", GREEK.get(base, base))]
         if sub:

@@ -36,6 +36,10 @@ _LABELS = {
     "mass": "moving mass",
     "tip_mass": "load",
     "displacement": "x",
+    "lower": "lower x",
+    "upper": "upper x",
+    "lowest_angle": "lowest angle",
+    "highest_angle": "highest angle",
 }
 POINTS = {name: (_LABELS.get(name, name), quantity) for name, quantity in POINT_QUANTITIES.items()}
 """Coordinate of an operating point -> label and quantity, in the order of columns."""
@@ -45,6 +49,7 @@ SPOKEN: dict[str, str] = {
     "mean": "mean contraction",
     "from": "pressure before",
     "tip_mass": "load",
+    **{f"pressure_{n}": f"pressure of muscle {n}" for n in (1, 2, 3)},
 }
 """Coordinates whose word differs from their name."""
 

@@ -160,6 +160,8 @@ HEIGHT, HIGHER = 118.0, 150.0
 """Heights of the panels of the certificate, and of those by two coordinates [pt]."""
 MOST, PANELS = 3, 2
 """Most panels of the certificate, and of those by two coordinates."""
+LETTERS = 98
+"""Letters of a figure's title on one line of the certificate."""
 TOGETHER = (("K",), ("B_c", "B_r", "B"), ("F_ce",))
 """Symbols that are drawn over all tests together, those of one plot together."""
 OVER_PRESSURE = {"pressure", "mean", "amplitude"}
@@ -200,16 +202,21 @@ def coefficient_picture(
     drawn = [member for _, mine in panels for member in mine]
     if not panels:
         return None
-    size = (PAGE - GAP * (len(panels) - 1)) / len(panels), HEIGHT - less
-    made = [_chart(symbols, mine, over, primary, size) for symbols, mine in panels]
     titled = listed([_title(symbols, results) for symbols, _ in panels])
+    title = f"{titled[:1].upper()}{titled[1:]} over {spoken(over)}"
+    size = (PAGE - GAP * (len(panels) - 1)) / len(panels), HEIGHT - less - _second_line(title)
+    made = [_chart(symbols, mine, over, primary, size) for symbols, mine in panels]
     own = [e for a, e in drawn if _way(e) in primary and a.kind != PUBLISHED]
     methods = listed(list(dict.fromkeys(clean(e.method, 60) for e in own)))
     bars = "bars and bands: 95 % intervals" if any(e.ci95 for e in own) else "without intervals"
     caption = f"Dots: {methods}; {bars}, often smaller than a dot.{_crosses(drawn)}{missing_words(own, over, 4)}"
-    title = f"{titled[:1].upper()}{titled[1:]} over {spoken(over)}"
     simulated = any(a.simulated for a, _ in drawn)
     return of_charts([made], title, caption, table_of([e for _, e in drawn], over), simulated=simulated)
+
+
+def _second_line(title: str) -> float:
+    """Height of the second line of a figure's title [pt]; 0 where it has one."""
+    return 15.0 if len(title) > LETTERS else 0.0
 
 
 def _at(analyses: Sequence[Analysis], members: Sequence[Estimate]) -> set[str]:
@@ -393,9 +400,9 @@ def missing_words(estimates: Sequence[Estimate], over: str, most: int) -> str:
 
 
 def _sized(known: Sequence[Estimate]) -> Shown:
-    """The unit with a power of ten before it where values would ask for an exponent at the axis."""
+    """The unit with a power of ten before it where values or intervals would ask for an exponent at the axis."""
     unit = shown(known[0].quantity, known[0].unit)
-    largest = max(abs(e.value or 0.0) for e in known) / unit.scale
+    largest = max(abs(end) for e in known for end in e.ci95 or [e.value or 0.0]) / unit.scale
     if largest == 0 or 1e-3 <= largest < 1e5:
         return unit
     power = 3 * floor(log10(largest) / 3)
@@ -464,9 +471,10 @@ def surface_picture(
     width = (PAGE - GAP * (len(order) - 1)) / len(order)
     simulated = any(a.simulated for a in analyses)
     drawn = [[e for e in known if e.symbol == symbol] for symbol in order]
-    charts = tuple(_surface_chart(mine, over, across, (width, HIGHER - less), simulated=simulated) for mine in drawn)
     names = " and ".join(f"{declared(analyses)[symbol].title} {symbol}" for symbol in order)
     title = f"{names[:1].upper()}{names[1:]} over contraction, at each pressure"
+    size = width, HIGHER - less - _second_line(title)
+    charts = tuple(_surface_chart(mine, over, across, size, simulated=simulated) for mine in drawn)
     caption = "Dots: values of the fit, half way between both directions; bars: 95 % intervals."
     table = table_of([e for mine in drawn for e in mine], over)
     return of_charts([charts], title, caption, table, simulated=simulated)

@@ -141,6 +141,21 @@ def test_where_all_values_are_at_one_place_a_note_says_it_and_the_table_what_dif
     assert table.notes[0] == "All at amplitude 5 mm, mean x 10 mm, P 300 kPa"
 
 
+def test_values_without_an_interval_keep_their_digits():
+    """A limit cycle of 0.3291 mm was "0" in the table, as every value of a column without any interval."""
+    plain = samples.sine()
+    e = next(e for e in plain.estimates if e.symbol == "K")
+    sizes = (0.3291e3, 7.582e3, 56.82e3)  # 0.3291 N/mm, ...
+    values = [
+        replace(e, value=K, parts=Parts(), budget=(), at={"pressure": 1e5 * (n + 1)}) for n, K in enumerate(sizes)
+    ]
+    table, _, _ = result_table([replace(plain, estimates=tuple(values))])
+    column = next(n for n, head in enumerate(table.heads) if head[0] == "K")
+    texts = [row[column].text.replace("\u2007", " ").strip() for row in table.rows]
+    assert texts == ["0.3291", "7.582", "56.82"]
+    assert not any(row[column].half or row[column].words for row in table.rows)
+
+
 def test_points_are_below_each_other():
     table, _, _ = result_table(samples.all_analyses())
     for column in zip(*table.rows, strict=True):

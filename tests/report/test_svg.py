@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from pmabench.plotting.svg import shortened
+from pmabench.plotting.svg import shortened, symbol_parts
 
 
 def places(path):
@@ -34,3 +34,11 @@ def test_gaps_and_closed_ends_are_kept():
     path = "M 1.5 2 L 3 2 L 3 4 z M 10 10 L 12 12 L 13 12 z L 11 10 M 0 0 L 2 0"
     assert shortened(path) == "M1.5 2l1.5 0 0 2zM10 10l2 2 1 0zl1 0M0 0l2 0"
     assert places(shortened(path)) == pytest.approx(places(path))
+
+
+@pytest.mark.parametrize(("text", "angle"), [
+    ("psi [deg]", True), ("phi, psi [deg]", True), ("phi = 3 deg, psi = -3 deg", True), ("psi", True),
+    ("25 psi", False), ("25 psi, or kPa", False), ("kPa called psi", False), ("[psi]", False), ("kPa, psi", False),
+])  # fmt: skip
+def test_psi_is_an_angle_or_a_unit_of_pressure(text, angle):
+    assert (("symbol", "ψ") in symbol_parts(text)) is angle

@@ -60,11 +60,10 @@ def loops(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
         lines = [_line(t, said[t.name], colors[said[t.name]]) for t in speeds[key]]
         lines += [_line(means[key], "mean", INK, dashed=True)] if key in means else []
         charts.append(Chart(*labels, (*lines, *published), height=170.0, title=title, legend=True))
+    black = ", and in black the mean of its branches, taken to speed 0: what a model without hysteresis is to give"
+    black = black if any(key in means for key in chosen) else ""
     gaps = [t.marks["H"] for key in chosen for t in groups[key] if "H" in t.marks]
-    caption = (
-        "The last cycle at each speed, and in black the mean of its branches, taken to speed 0: what a model without "
-        f"hysteresis is to give. Gap at mid stroke, expanding minus contracting: {reach(gaps)} N."
-    )
+    caption = f"The last cycle at each speed{black}. Gap at mid stroke, expanding minus contracting: {reach(gaps)} N."
     caption += f" {len(chosen)} of {len(keys)} are shown." if len(chosen) < len(keys) else ""
     drawn = [t for key in chosen for t in speeds[key]]
     figure = small_multiples(charts, 3), "Isobaric loops", caption, analysis, drawn

@@ -98,7 +98,10 @@ def force_picture(analyses: Sequence[Analysis], less: float = 0.0) -> Picture | 
     off = f" Friction lets a muscle rest up to F_c = {size} N off its line." if size else ""
     hollow = " Hollow: where relaxing strokes ended." if any(len(level.back) for level in levels) else ""
     lines = "the fitted force; K is its slope at one contraction" if bent else "F = F_ce − K x of the fit"
-    caption = f"Lines: {lines}. Dots: where strokes ended under each load.{hollow}{off}"
+    held = any(t.figure == FIGURE for a in analyses for t in a.traces)
+    strokes = any(step.get("x_inf") is not None for a in analyses for step in mappings(a.facts.get("steps")))
+    dots_are = ["where strokes ended under each load"] * strokes + ["forces at held contractions"] * held
+    caption = f"Lines: {lines}. Dots: {' and '.join(dots_are)}.{hollow}{off}"
     simulated = any(a.simulated for a in analyses)
     return of_charts([[chart]], f"Force over contraction, {ends}", caption, _table(levels), simulated=simulated)
 

@@ -151,8 +151,8 @@ def _bar(e: Estimate) -> Bar:
 
 
 MOST_ROWS, MOST_COLUMNS = 9, 12
-FOLLOWING = ("mass", "cycles", "speed")
-"""Coordinates that follow from others."""
+FOLLOWING = ("mass", "cycles", "speed", "side")
+"""Coordinates that follow from others, or are a direction."""
 Point = Mapping[str, float]
 
 

@@ -22,7 +22,7 @@ MOST_LETTERS, WIDE = 62, 55
 MOST_NOTES = 3
 FIGURE, POINT, THIN = "\u2007", "\u2008", "\u2009"
 """Spaces as wide as a digit, as a point, and a thin one."""
-_PAIR = re.compile(r"(−?[\d.]+) ± ([\d.]+)")
+_VALUE = re.compile(r"(−?[\d.]+)(?: ± ([\d.]+))?")
 
 
 @dataclass(frozen=True)
@@ -57,10 +57,10 @@ def result_table(analyses: Sequence[Analysis]) -> tuple[ResultTable, list[Estima
     if across := two_coordinates(members, over):
         return _matrix(members, over, across), members, over
     order = list(declared(tests))
-    symbols = sorted(dict.fromkeys(e.symbol for e in members), key=order.index)
     by = {(_place(e, over), e.symbol): e for e in members}
     stride = -(-len(places) // MOST_ROWS)
     chosen = places[::stride]
+    symbols = sorted({s for place, s in by if place in chosen}, key=order.index)
     columns = {s: _aligned([cell(by[p, s]) if (p, s) in by else "not measured" for p in chosen]) for s in symbols}
     named = {s: (symbol_text(s), _unit(members, s)) for s in symbols}
     letters = {s: _letters(columns[s], named[s]) for s in symbols}
@@ -151,20 +151,20 @@ def _whole(tests: Sequence[Analysis]) -> ResultTable:
 
 
 def _aligned(cells: Sequence[str]) -> list[Value]:
-    """Pairs with spaces before and after, so that their points are below each other; other texts are words."""
-    pairs = [_PAIR.fullmatch(text) for text in cells]
-    parts = [
-        [(len(whole), len(rest)) for whole, _, rest in (p[1].partition("."), p[2].partition("."))] for p in pairs if p
+    """Values and half widths with spaces around them, so that points are below each other; other texts are words."""
+    known = [_VALUE.fullmatch(text) for text in cells]
+    value, half = (_widths([one[n] or "" for one in known if one]) for n in (1, 2))
+    return [
+        Value(_padded(one[1], *value), _padded(one[2], *half) if one[2] else "") if one else Value(text, words=True)
+        for text, one in zip(cells, known, strict=True)
     ]
-    widths = [tuple(map(max, zip(*lengths, strict=True))) for lengths in zip(*parts, strict=True)] or [(0, 0), (0, 0)]
-    found = []
-    for text, pair in zip(cells, pairs, strict=True):
-        if pair:
-            found.append(Value(_padded(pair[1], *widths[0]), _padded(pair[2], *widths[1])))
-        else:
-            plain = re.fullmatch(r"−?[\d.]+", text)
-            found.append(Value(_padded(text, *widths[0])) if plain else Value(text, words=True))
-    return found
+
+
+def _widths(numbers: Sequence[str]) -> tuple[int, int]:
+    """Most digits before and after the point."""
+    parts = [number.partition(".") for number in numbers]
+    before, after = ([len(part[n]) for part in parts] for n in (0, 2))
+    return max(before, default=0), max(after, default=0)
 
 
 def _padded(text: str, before: int, after: int) -> str:

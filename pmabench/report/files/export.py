@@ -281,6 +281,7 @@ _ESCAPES = {
     "φ": r"$\varphi$",
     "τ": r"$\tau$",
     "ω": r"$\omega$",
+    "ψ": r"$\psi$",
     "α": r"$\alpha$",
     "π": r"$\pi$",
     "\u202f": r"\,",

@@ -50,7 +50,7 @@
     ctx.fillStyle = color;
     ctx.textAlign = "left";
     ctx.textBaseline = "middle";
-    if (end) x -= wide;
+    x -= (end || 0) * wide;
     if (halo) {
       ctx.strokeStyle = "#fff"; ctx.lineWidth = 0.3 * size; ctx.font = font(size);
       ctx.strokeText(cut.map(function (piece) { return piece[0] + piece[1]; }).join(""), x, y);
@@ -200,6 +200,7 @@
     var head = (chart.title ? 24 : 8) * p;
     write(ctx, chart.title, chart.yNamed ? 1 : box.left, 8 * p, 12 * p, INK, true);
     if (chart.yNamed) write(ctx, chart.y, 1, head, 12 * p, INK, false);
+    if (chart.named) write(ctx, chart.x, box.left + box.width / 2, ctx.canvas.height - 10 * p, 12 * p, INK, false, 0.5);
     write(ctx, chart.stamp, edge, head, 10.5 * p, STAMP, true, true);
   }
 
@@ -273,7 +274,7 @@
       },
       axes: [
         Object.assign({ grid: { show: false }, ticks: { stroke: QUIET, width: 1, size: 3 }, gap: 3, space: 60,
-          border: { show: true, stroke: QUIET, width: 1 }, label: chart.named ? chart.x : undefined, labelSize: 18,
+          border: { show: true, stroke: QUIET, width: 1 }, label: chart.named ? " " : undefined, labelSize: 18,
           labelFont: "12px Inter, sans-serif", size: chart.named ? 24 : 8 }, axis,
           chart.ticks.length ? { splits: within, filter: function (u, at) { return at; } } : {},
           chart.named ? {} : { values: function (u, splits) { return splits.map(function () { return ""; }); } }),
