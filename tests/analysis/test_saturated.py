@@ -191,6 +191,14 @@ def test_what_rests_or_flattens_by_itself_has_no_ceiling(P, x):
     assert not ceilings(free(P, x))
 
 
+def test_a_weight_that_is_lifted_is_no_ceiling_of_the_force():
+    """It hangs from the cell at 60 N, and the pressure goes on."""
+    P = np.interp(T % 15, [1, 6, 8, 13], [0.0, 400e3, 400e3, 0.0])
+    F, x = np.minimum(0.6e-3 * P, 60.0), 1e-7 * np.maximum(P - 100e3, 0.0)
+    channels = {"pressure": P, "force": F, "displacement": x}
+    assert not ceilings(run_of("static-load", [({"load": 60.0}, T, channels, (), {})]))
+
+
 def test_an_overshoot_that_friction_holds_has_none():
     """It comes to its highest place with less and less speed, rests there for 1 s, and slips back."""
     ((point, t, channels, _, law), *_) = overshoots()

@@ -23,6 +23,8 @@ from pmabench.store.records import Array, RunData, TrialData
 
 EFFECTS = ("force", "torque", "displacement", "angle")
 """Channels that change with the pressure, unless they are driven."""
+HUNG = {"load", "mass"}
+"""Coordinates of the operating point of a muscle that moves freely with a weight."""
 CAUSES = ("pressure", "pressure_1", "pressure_2")
 NEAR = 1000
 """Number of samples before and after the highest one whose noise counts."""
@@ -84,6 +86,8 @@ def saturated(run: RunData, loop: bool = False) -> Iterator[Ceiling]:
     """
     for name, sign in (*((name, 1) for name in (*EFFECTS, "pressure")), ("torque", -1)):
         trials = [trial for trial in run.trials if name in trial.channels and trial.status == "finished"]
+        if name == "force":  # a weight is the most that a muscle pulls which lifts it
+            trials = [trial for trial in trials if not HUNG & trial.point.keys()]
         every = (_course(trial, name, sign, loop) for trial in trials)
         courses = [course for course in every if len(course.y) >= ENOUGH]
         if courses and (found := _ceiling(run, name, sign, courses)):
