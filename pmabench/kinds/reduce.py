@@ -13,6 +13,7 @@ from pmabench.analysis.imported import in_time, without_doubtful
 from pmabench.analysis.shared.changes import Change, followed, of_forces, of_values, with_changes
 from pmabench.analysis.shared.regulated import regulated
 from pmabench.analysis.shared.samples import with_motion
+from pmabench.analysis.shared.saturated import saturated
 from pmabench.analysis.shared.signals import without_spikes
 from pmabench.analysis.shared.trials import grouped, session_of, six_digits
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
@@ -152,7 +153,7 @@ def _reduced(kind: str, runs: Sequence[RunData], options: Mapping[str, Any] | No
 def _changes(kind: Kind, run: RunData) -> list[Sequence[Change]]:
     """Changes of a sensor within a run, each with all that it may be."""
     off = regulated(run) if kind.regulated and not kind.loop else None
-    found: list[Sequence[Change]] = [[change] for change in [followed(run), off] if change]
+    found: list[Sequence[Change]] = [[change] for change in [followed(run), off, *saturated(run, kind.loop)] if change]
     if kind.drifts == "force":
         found += of_forces(run)
     seen = any(one is not off and (one.gain or one.offset) for changes in found for one in changes)

@@ -9,7 +9,7 @@
   set-point), `simulated` (a model simulated for a trial)
 - `joint` (what sweeps and locked torques of a joint share: turns, play, deviation from commands)
 - `changes` (of a sensor in the middle of a run, by what repeats itself, and by the command of a drive)
-- `regulated` (a pressure at rest that is off its command)
+- `regulated` (a pressure at rest that is off its command), `saturated` (a channel that ends at a ceiling)
 - `form` (effect of a departure from the assumed form), `calibration` (effect of the channels' uncertainties), `skew`
   (effect of separate clocks)
 """

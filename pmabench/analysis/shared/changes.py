@@ -83,14 +83,15 @@ def with_changes(
     each with all that it may be.
     """
     findings = list[Finding]()
-    ways = dict[tuple[str, int], dict[str, Change]]()
+    ways = dict[tuple[str, str, int], dict[str, Change]]()
     for run in runs:
         for changes in found(run):
             findings.append(Finding("doubt", changes[0].text))
             for number, change in enumerate(one for one in changes if one.gain or one.offset):
-                ways.setdefault((change.channel, number), {})[run.id] = change
+                ways.setdefault((change.channel, change.name, number), {})[run.id] = change
     doubts: list[dict[str, Doubt]] = [{} for _ in analysis.estimates]
-    for (channel, _), changed in ways.items():
+    for (channel, own, _), changed in ways.items():
+        name = own or f"change of the {channel} in the run"
         others = reduction([_changed(run, changed.get(run.id)) for run in runs]).estimates
         widest = max(changed.values(), key=lambda one: abs(one.gain))
         shifts = [_apart(e, others, widest) for e in analysis.estimates]
@@ -103,10 +104,8 @@ def with_changes(
             most, size = largest.get((e.symbol, e.method), (0.0, 0.0))
             share = max(abs(widest.gain), most / size if size else 0.0)
             half = share * abs(e.value or 0.0) if shift is None else shift
-            if channel not in mine or half > mine[channel].half:
-                mine[channel] = Doubt(
-                    widest.name or f"change of the {channel} in the run", "drift", half, True, widest.text, widest.most
-                )
+            if name not in mine or half > mine[name].half:
+                mine[name] = Doubt(name, "drift", half, True, widest.text, widest.most)
     weighted = (weighed(e, mine.values()) for e, mine in zip(analysis.estimates, doubts, strict=True))
     return replace(analysis, estimates=tuple(weighted), findings=(*analysis.findings, *findings))
 

@@ -206,6 +206,8 @@ def mode_amplitudes(t: Array, signals: Array, root: complex) -> tuple[Array, Arr
 
 AT_ONCE = 200_000
 """Samples whose medians are computed at once, which limits memory."""
+AROUND, BENT = 5, 3.0
+"""Neighbours on either side of a spike, and its least distance from the course of these over their own."""
 
 
 def without_spikes(runs: Sequence[RunData]) -> tuple[list[RunData], list[Finding]]:
@@ -241,8 +243,25 @@ def _spikes(trial: TrialData, name: str) -> tuple[NDArray[np.intp], float]:
     around = np.lib.stride_tricks.sliding_window_view(np.pad(values, ALONE, mode="edge"), 2 * ALONE + 1)
     parts = [np.median(around[at : at + AT_ONCE], axis=1) for at in range(0, len(values), AT_ONCE)]
     apart = np.abs(values - np.concatenate(parts))  # 0 for a ramp, and for an edge
-    out = apart > spike_limit(values, apart)
+    out = np.flatnonzero(apart > spike_limit(values, apart))
+    out = out[_bent(values, out) > BENT]
     return rows[out], float(apart[out].max(initial=0.0))
+
+
+def _bent(values: Array, out: NDArray[np.intp]) -> Array:
+    """Distance of the samples `out`, shape (m,), from a cubic through their nearest neighbours without these, over the
+    largest distance of one of those: up to 2.5 at the smooth peak of a motion, however few samples it has.
+    """
+    others = np.delete(np.arange(len(values)), out)
+    if len(others) < 2 * AROUND:
+        return np.zeros(len(out))
+    first = np.clip(np.searchsorted(others, out) - AROUND, 0, len(others) - 2 * AROUND)
+    near = others[first[:, None] + np.arange(2 * AROUND)]
+    place = (near - out[:, None]) / AROUND
+    powers = place[..., None] ** np.arange(4)
+    fitted = np.linalg.pinv(powers) @ values[near][..., None]
+    off = np.abs(values[near] - (powers @ fitted)[..., 0]).max(axis=1)
+    return np.asarray(np.abs(values[out] - fitted[:, 0, 0]) / np.maximum(off, np.finfo(float).tiny))
 
 
 SMALLEST = 1e-4
@@ -260,6 +279,8 @@ PART = 0.02
 LONGEST, FADES = 1e3, 0.5
 """A motion in the window is extrapolated over the logarithm of time until the first [s], where its slope over that is
 more than the second share of the slope before: muscles creep so."""
+GAP, SLOPE = 3.0, 3
+"""Time between samples, over the usual one, from which on samples are missing; samples for the slope next to it."""
 STICKS = 0.3
 """Share of the time at rest from which on a cycle is stick-slip."""
 
@@ -369,7 +390,7 @@ def respond(
         error = max(further.most, wander if wander > smallest else 0.0)
     unsure = Unsure(
         rise=hypot(period + SMOOTHED / 2, *open_),
-        overshoot=rest / step,
+        overshoot=rest / step + max(0.0, _in_gaps(t, x, period) - float(x.max())) / step,
         settling=period + (near - wide if near is not None and wide is not None else 0.0),
         IAE=rectified,
         size=2 * rest + 2 * PART * (0.0 if cycle is None else cycle.size),
@@ -383,6 +404,20 @@ def respond(
     IAE = float(np.trapezoid(np.abs(setpoint - at), t)) - 0.5 * rectified
     off = setpoint - float(x[inside].mean())
     return Response(rise, overshoot, settling, off, IAE, cycle, wander, smallest, unsure)
+
+
+def _in_gaps(t: Array, x: Array, period: float) -> float:
+    """Highest place [m] that a motion may have reached where samples are missing; -inf where it turned in no gap.
+
+    A motion that slows down and comes back stays below the lines with the slopes that it has before and after.
+    """
+    highest = -np.inf
+    for k in np.flatnonzero(np.diff(t[SLOPE:-SLOPE]) > GAP * period) + SLOPE:
+        up, down = (float((x[b] - x[a]) / (t[b] - t[a])) for a, b in ((k - SLOPE, k), (k + 1, k + 1 + SLOPE)))
+        if up > 0 > down:
+            since = (x[k + 1] - x[k] - down * (t[k + 1] - t[k])) / (up - down)
+            highest = max(highest, float(x[k] + up * max(since, 0.0)))
+    return highest
 
 
 def _creep(t: Array, x: Array, window: tuple[float, float]) -> float:

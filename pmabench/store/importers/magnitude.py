@@ -31,6 +31,12 @@ LONG = 5.0
 """Ratio of length to diameter above which end effects do not weaken a muscle [1]."""
 HELD = 0.05
 """Largest relative contraction at which the least force applies [1]."""
+SHARE, NEAR = 0.7, 0.01
+"""Share of the least force that a muscle of several lengths shows where it is longest, within this share of its length:
+the force that stretches the bladder is not taken off.
+"""
+WEAK = 2.5
+"""Force per pressure and bore area [1] of long muscles that is rarely that small."""
 PEAKS = (15e3, 2.5e6)
 """Possible range of the highest gauge pressure of a test [Pa]: less opens no bladder, more bursts it."""
 PSI = 6894.757
@@ -76,6 +82,8 @@ class Muscle:
     """Whether its length is held constant, so that force follows pressure."""
     moves: bool = True
     """Whether its length changes within the test; where it is only set, a trial may be at full length throughout."""
+    driven: bool = False
+    """Whether its length is set from outside, to one value or to several, so that it pulls as hard as it can."""
 
 
 def slope_of_held(values: Mapping[str, Array], flags: Flags) -> float | None:
@@ -92,7 +100,9 @@ def area_factor(angle: float) -> float:
     return (3.0 * cos(a) ** 2 - 1.0) / sin(a) ** 2
 
 
-def judge(report: Report, channels: Mapping[str, Checked], good: Bools, muscle: Muscle) -> list[Question]:
+def judge(
+    report: Report, channels: Mapping[str, Checked], good: Bools, muscle: Muscle, set_length: Checked | None = None
+) -> list[Question]:
     """Report pressures and forces that are impossible for a muscle; returns questions that numbers cannot decide."""
     pressure, force = channels.get("pressure"), channels.get("force")
     if pressure is None or good.sum() < 20:
@@ -122,7 +132,52 @@ def judge(report: Report, channels: Mapping[str, Checked], good: Bools, muscle: 
     if muscle.held:
         _exchanged(report, P, F)
     m = slope_of(P, F) if muscle.held else _steepest(P, F)
-    return questions if m is None else [*questions, *_steep(report, m, peak, muscle, pressure)]
+    if m is not None:
+        questions += _steep(report, m, peak, muscle, pressure)
+    lengths = set_length or channels.get("displacement")
+    if muscle.driven and not muscle.held and muscle.length and lengths is not None:
+        questions += _weak(report, _longest(P, F, lengths.si[good], muscle.length), SHARE, muscle, force)
+    elif muscle.held:
+        questions += _weak(report, m, 1.0, muscle, force)
+    return questions
+
+
+def _longest(P: Array, F: Array, x: Array, length: float) -> float | None:
+    """Slope of force over pressure, or their ratio where that is one, at the least contraction; None above `HELD`."""
+    least = float(np.nanmin(x)) if np.isfinite(x).any() else np.inf
+    near = x <= least + NEAR * length
+    if least > HELD * length:
+        return None
+    return slope_of(P[near], F[near]) if np.ptp(P[near]) > 0.5 * P.max() else _steepest(P[near], F[near])
+
+
+def _weak(report: Report, m: float | None, share: float, muscle: Muscle, force: Checked) -> list[Question]:
+    """Compare the force per pressure [N/Pa] at hardly any contraction with the least for the inner diameter."""
+    area = pi * (muscle.diameter or 0.0) ** 2 / 4.0
+    if m is None or m <= 0 or not area or not _long(muscle) or (muscle.held and not _stretched(muscle)):
+        return []
+    if m >= WEAK * area:
+        return []
+    bore, units = show(muscle.diameter or 0.0, "length", 3), _units(m, _usual(area))
+    text = (
+        f"where the muscle is longest force over pressure is {in_words(m, 'force')}, {m / area:.2g} times the area of "
+    )
+    text += f"a bore of {bore}"
+    if m < share * area_factor(FLATTEST) * area:
+        if not muscle.held:  # of a held one `_steep` says it
+            text += (
+                f"; braids give {area_factor(FLATTEST):.2g} times at least: the unit or the scale of force or pressure "
+            )
+            report.withhold("magnitude", text + "is wrong, or the inner diameter" + units, "force")
+        return []
+    asked = f"is the force in {force.rule.raw_unit}, as the map says?{units} {text[0].upper()}{text[1:]}, "
+    asked += "where long muscles give 8 to 10 times; correct the unit, or say confirmed: [force-unit]"
+    return [Question("force-unit", force.rule.column, asked, force.rule.raw_unit)]
+
+
+def _usual(area: float) -> Callable[[float], bool]:
+    """Whether a force per pressure [N/Pa] is usual for a bore area [m2]."""
+    return lambda m: 2.0 * area <= m <= 14.0 * area
 
 
 def slope_of(P: Array, F: Array) -> float | None:
@@ -169,7 +224,7 @@ def _steep(report: Report, m: float, peak: float, muscle: Muscle, pressure: Chec
         report.withhold("magnitude", text + _units(m, lambda x: least <= x <= limit), "force")
         return []
     area = pi * muscle.diameter**2 / 4.0
-    least = area_factor(FLATTEST) * area if _shows_least(muscle) else 0.0
+    least = area_factor(FLATTEST) * area if muscle.held and _long(muscle) and _stretched(muscle) else 0.0
     if least <= m <= most * area:
         return _low(pressure, peak) if m > USUAL * area else []
     bore = show(muscle.diameter, "length", 3)
@@ -184,10 +239,9 @@ def _steep(report: Report, m: float, peak: float, muscle: Muscle, pressure: Chec
     return []
 
 
-def _shows_least(muscle: Muscle) -> bool:
-    """Whether the least force for a diameter can be expected: a long, held and hardly contracted muscle."""
-    long = muscle.length is not None and muscle.diameter is not None and muscle.length >= LONG * muscle.diameter
-    return muscle.held and long and _stretched(muscle)
+def _long(muscle: Muscle) -> bool:
+    """Whether its ends do not weaken a muscle."""
+    return muscle.length is not None and muscle.diameter is not None and muscle.length >= LONG * muscle.diameter
 
 
 def _stretched(muscle: Muscle) -> bool:

@@ -197,8 +197,8 @@ Written = Literal[
 SCALES = {"points", "line", "recorded_with", "contraction", "range", "dropout", "spike"}
 """Entries that only a measured or commanded column can have."""
 Confirmable = Literal[
-    "absolute", "counts", "gain", "jump", "lag", "length-unit", "magnitude", "pressure-unit", "sibling", "swap",
-    "time-unit",
+    "absolute", "counts", "force-unit", "gain", "jump", "lag", "length-unit", "magnitude", "pressure-unit", "scale",
+    "sibling", "swap", "time-unit",
 ]  # fmt: skip
 NUMBERS = frozenset(("phase", "trial", "flags", "simulated", "ignore"))
 """Roles of columns that are not measured, and have neither unit nor scale."""

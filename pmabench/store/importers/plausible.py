@@ -17,7 +17,7 @@ from itertools import pairwise
 import numpy as np
 
 from pmabench.base.quantities import show
-from pmabench.store.importers import magnitude, midfile, motion
+from pmabench.store.importers import magnitude, midfile, motion, scales
 from pmabench.store.importers.found import Bools, Checked, Found, Report, Rows, in_words, slope
 from pmabench.store.importers.magnitude import Muscle
 from pmabench.store.importers.map_file import Question
@@ -349,22 +349,27 @@ def stopped(t: Array, channels: Sequence[Checked], flags: Flags, held: bool) -> 
 
 
 def judge(
-    t: Array, channels: Sequence[Checked], flags: Flags, muscle: Muscle, confirmed: Collection[str] = ()
-) -> tuple[list[Found], list[Question]]:
+    t: Array, channels: Sequence[Checked], flags: Flags, muscle: Muscle, confirmed: Collection[str] = (),
+    set_length: Checked | None = None,
+) -> tuple[list[Found], list[Question]]:  # fmt: skip
     """Findings and open questions for a whole file, samples at `t` [s], shape (n,); no samples are flagged.
 
     `confirmed`: kinds of findings that were checked and confirmed: they become notes, and withhold nothing.
+    `set_length`: the column of contractions that were set.
     """
     with np.errstate(all="ignore"):  # damaged files hold numbers of any size
-        found, questions = _judged(Report(t, flags), channels, muscle)
+        found, questions = _judged(Report(t, flags), channels, muscle, set_length)
     return answered(found, confirmed), [each for each in questions if each.what not in confirmed]
 
 
-def _judged(report: Report, channels: Sequence[Checked], muscle: Muscle) -> tuple[list[Found], list[Question]]:
+def _judged(
+    report: Report, channels: Sequence[Checked], muscle: Muscle, set_length: Checked | None
+) -> tuple[list[Found], list[Question]]:
     roles = {channel.rule.role: channel for channel in channels}
     good = _good(report.flags, channels)
     if good.mean() <= 1.0 - CONDEMNED or "pressure" not in roles:
         return [], []
+    scales.compare(report, roles if set_length is None else {**roles, "set length": set_length}, good)
     pair = _pair(channels, muscle.held)
     if "pressure_command" in roles:
         led(report, roles["pressure"], roles["pressure_command"], good)
@@ -372,7 +377,7 @@ def _judged(report: Report, channels: Sequence[Checked], muscle: Muscle) -> tupl
         changed = midfile.jumped(report, *pair, good, follows=muscle.held)
         if muscle.held and not changed and not midfile.regained(report, *pair, good):
             late(report, *pair, good)
-    return report.found, magnitude.judge(report, roles, good, muscle)
+    return report.found, magnitude.judge(report, roles, good, muscle, set_length)
 
 
 def _pair(channels: Sequence[Checked], held: bool) -> tuple[Checked, Checked] | None:

@@ -109,9 +109,15 @@ def _prepared(path: Path, rules: ImportMap, table: Table, name: str, number: int
     looked = long.inspected(table, rules, lambda part: _inspected(path, rules, part), _summed)
     seen, found = looked.seen, looked.seen.found + constant
     specimen = rules.file.specimen
-    contraction = named.point.get("contraction")
-    muscle = Muscle(specimen.inner_diameter, specimen.nominal_length, contraction, _held(rules), _moves(rules.test))
-    more, questions = plausible.judge(seen.t, seen.checked, seen.flags, muscle, rules.file.confirmed)
+    muscle = Muscle(
+        specimen.inner_diameter, specimen.nominal_length, named.point.get("contraction"), _held(rules),
+        _moves(rules.test), rules.test.follows == "force",
+    )  # fmt: skip
+    said = rules.column("point of contraction")
+    lengths = (
+        Checked(said, seen.values[said.role], seen.values[said.role]) if said and said.role in seen.values else None
+    )
+    more, questions = plausible.judge(seen.t, seen.checked, seen.flags, muscle, rules.file.confirmed, lengths)
     found += looked.placed(more)
     parts, doubts = segments(seen.t, seen.values, seen.flags, rules, named.point)
     found += [Found("doubt", "trial", text) for text in doubts]
