@@ -17,7 +17,7 @@ from pmabench.model.plant import Plant
 from pmabench.model.presets import Described, preset, tabulated_force
 from pmabench.model.regulator import constant
 from pmabench.store.analyses.results import Analysis, Estimate
-from pmabench.store.records import Command, RunData, TrialData
+from pmabench.store.records import ChannelInfo, Command, RunData, TrialData
 from tests.analysis.loop_rig import as_run
 from tests.analysis.test_polled_channels import held
 
@@ -299,6 +299,29 @@ def test_what_a_sensor_reads_before_the_step_is_named_and_held(
     assert all(size < 1.1 for size in in_half_widths(found).values())
     assert all(without_interval(e) for e in found.estimates if e.symbol == "e_sim")
     assert f"before 3 of 3 steps the {name} reads up to" in doubts(found)
+
+
+@pytest.mark.parametrize("reads", [49.0, -6.0])
+def test_a_force_that_is_not_the_load_is_named_and_held(motion: tuple[np.ndarray, np.ndarray], reads: float) -> None:
+    """A weight of 5 kg that the protocol does not know of was an error of the model, 100 half widths, without a word.
+
+    By F_ce - K x = F_L the true model is off by F_L / K under it.
+    """
+    P, (K, F_ce) = 5e5, (5600 + 1e-3 * 5e5 + 9.7e-9 * 5e5**2, 1.08e-3 * 5e5 - 49.0)
+    share = 1 - reads / F_ce
+    rng = np.random.default_rng(4)
+    trials = []
+    for n in range(3):
+        noise = rng.standard_normal((3, len(T)))
+        channels = {"pressure": motion[0] + 500 * noise[0], "displacement": share * motion[1] + 2e-6 * noise[1]}
+        trials.append(replace(trial_at(n), channels={**channels, "force": reads + 0.3 * noise[2]}))
+    plain = run(*trials, model=model())
+    force = ChannelInfo("force", "force", "N", 1.0, 0.0, -np.inf, np.inf, offset_uncertainty=0.5)
+    found = reduce([replace(plain, channels={**plain.channels, "force": force})])
+    off = [number(e) for e in found.estimates if (e.symbol, e.method) == ("e_ss", COMMANDED)]
+    assert off == [pytest.approx(reads / K / (share * F_ce / K), rel=0.02)]
+    assert all(size < 1.1 for size in in_half_widths(found).values())
+    assert "where the protocol has a load of 0 N" in doubts(found)
 
 
 def test_a_good_bench_is_not_doubted_and_no_wider(motion: tuple[np.ndarray, np.ndarray]) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 
 from pmabench.analysis.shared.changes import Change
 from pmabench.analysis.shared.trials import grouped
+from pmabench.base.quantities import show
 from pmabench.store.records import Array, RunData, TrialData
 
 PRESSURE, SENT = "pressure", "pressure_command"
@@ -24,6 +25,8 @@ HIGH = 0.2
 """Share of the highest command below which a zero, or a regulator that does not vent, would count as a scale [1]."""
 REGULATES = 0.01
 """Error of a regulator that is usual, as a share of the highest command [1]."""
+AT_ONE = 0.02
+"""The same at a single one of several pressures, where a hold may have been too short."""
 MORE = 1.2
 """Factor on the difference: at the end of a curve a value changes by less than elsewhere, and its error does not."""
 OTHER = 0.3
@@ -46,18 +49,22 @@ def regulated(run: RunData) -> Change | None:
     if not rests:
         return None
     levels = grouped(rests, lambda rest: round(rest[0] / top, 2))
-    share = float(np.median([np.median([P / level for level, P in alike]) for alike in levels.values()])) - 1
+    off = {alike[0][0]: float(np.median([P / level for level, P in alike])) - 1 for alike in levels.values()}
+    share, where = float(np.median(list(off.values()))), ""
     highest, info = max(level for level, _ in rests), run.channels.get(PRESSURE)
     declared = hypot(info.offset_uncertainty, info.gain_uncertainty * highest) if info else 0.0
     if abs(share) * highest <= declared + REGULATES * top:
-        return None
+        level = max(off, key=lambda one: abs(off[one]) * one)
+        share, where = off[level], f" of {show(level, 'pressure')}"
+        if abs(share) * level <= declared + AT_ONE * top:
+            return None
     if abs(share) > OTHER:
         text = (
             f"{run.id}: at rest the pressure reads {1 + share:.2g} times its command: the unit of one of them is wrong"
         )
         return Change(PRESSURE, 0.0, 0.0, 0.0, text)
     text = (
-        f"{run.id}: at rest the pressure reads {share:+.1%} off its command: the gauge or the regulator is off. "
+        f"{run.id}: at rest the pressure reads {share:+.1%} off its command{where}: the gauge or the regulator is off. "
         "Intervals hold either. Compare the gauge with another one"
     )
     return Change(PRESSURE, 1 / (1 + MORE * share) - 1, 0.0, 0.0, text, "gauge against command", inf)

@@ -17,7 +17,7 @@ from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.samples import between_new, count_of, fresh, lags_of, noise_of, unresolved
 from pmabench.analysis.shared.signals import smooth
-from pmabench.analysis.shared.simulated import from_commanded_pressure, from_measured_pressure, model_of
+from pmabench.analysis.shared.simulated import from_commanded_pressure, from_measured_pressure, load_of, model_of
 from pmabench.analysis.shared.trials import grouped, mean_of_trials, point_of, thinned
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
@@ -39,6 +39,7 @@ METHODS = (COMMANDED, MEASURED)
 ALONE = "one run: no repeats part"
 NO_MODEL = "the plan holds no model to compare with"
 ZEROS = "zeros and steps of the channels"
+OTHER_LOAD = "force of the cell in place of the load"
 NO_INTERVAL = "no interval: noise and errors of the channels are in it like those of the model"
 CHANNELS = {"displacement": "length", "pressure": "pressure"}
 """Channel -> its quantity."""
@@ -73,6 +74,8 @@ class _Step:
     """
     zeros: Mapping[str, float]
     """Channel -> reading before the step [SI]; 0 within calibration and noise."""
+    pulls: float
+    """Force in the window less the load [N]; 0 within calibration and noise, or without a force."""
 
     def error(self, method: str) -> float:
         """Simulated minus measured contraction in the window [m]."""
@@ -204,6 +207,25 @@ def _off_zero(run: RunData, trial: TrialData, channel: str) -> float:
     return size if abs(size) > max(Scales.of([run]).offsets.get(channel, 0.0), by_noise) else 0.0
 
 
+LIGHT, LIGHTLY = 1.0, 0.02
+"""Force [N], and share of the load, that friction of a guide and air make of a weight."""
+
+
+def _pulls(run: RunData, trial: TrialData) -> float:
+    """Mean force in the window less the load [N], if it exceeds what friction, calibration and noise make; else 0."""
+    force = trial.channels.get("force")
+    if force is None or "load" not in trial.point:
+        return 0.0
+    seen = force[inside_window(run, trial) & np.isfinite(force)]
+    if len(seen) < FEWEST:
+        return 0.0
+    load, scales = load_of(trial)[0], Scales.of([run])
+    known = scales.offsets.get("force", 0.0) + scales.gains.get("force", 0.0) * abs(load)
+    least = known + LIGHT + LIGHTLY * load + SURE * noise_of(seen) / sqrt(len(seen))
+    more = float(seen.mean()) - load
+    return more if abs(more) > least else 0.0
+
+
 def _coarse(run: RunData, trial: TrialData, channel: str, inside: NDArray[np.bool_]) -> float:
     """Error of a mean over the rows `inside` because a channel is read in steps [SI].
 
@@ -226,6 +248,13 @@ def _steps(run: RunData, recorded: Sequence[TrialData], model: Described) -> lis
     zeros = [{name: _off_zero(run, trial, name) for name in CHANNELS} for trial in recorded]
     unsure = [_unsure(run, *pair) for pair in zip(recorded, zeros, strict=True)]
     changed = _by_pressure(run, trials, model, origins, [one["pressure"] for one in unsure])
+    pulls = [_pulls(run, trial) for trial in recorded]
+    if any(pulls):
+        loaded = [
+            replace(trial, point={**trial.point, "load": load_of(trial)[0] + more})
+            for trial, more in zip(trials, pulls, strict=True)
+        ]
+        changed["load"] = from_measured_pressure(model, loaded, 1.0 / run.rate, origins)
     for place, (trial, by_measured, origin) in enumerate(zip(trials, driven, origins, strict=True)):
         ok, inside = _usable(trial), inside_window(run, trial)
         simulated = {COMMANDED: from_commanded_pressure(model, trial, origin), MEASURED: by_measured}
@@ -235,7 +264,8 @@ def _steps(run: RunData, recorded: Sequence[TrialData], model: Described) -> lis
         models = {method: values[ok] for method, values in simulated.items()}
         moved = {name: float(values[place][inside].mean()) - means[MEASURED] for name, values in changed.items()}
         moved["displacement zero"] = unsure[place]["displacement"]
-        found.append(_Step(run, trial, t[ok], x[ok], models, float(x[inside].mean()), means, moved, zeros[place]))
+        measured = float(x[inside].mean())
+        found.append(_Step(run, trial, t[ok], x[ok], models, measured, means, moved, zeros[place], pulls[place]))
     return found
 
 
@@ -271,6 +301,7 @@ def _estimates(at: dict[str, float], members: Sequence[_Step], method: str, full
     scales = Scales.of([step.run for step in members])
     names = tuple(step.trial.name for step in members)
     channels = ("displacement",) if method == COMMANDED else ("displacement", "pressure")
+    loads = [abs(step.moved.get("load", 0.0)) for step in members]
     causes = [n for n in members[0].moved if n.startswith(channels) and all(n in step.moved for step in members)]
     lacking = scales.lack(channels, channels)
 
@@ -282,7 +313,8 @@ def _estimates(at: dict[str, float], members: Sequence[_Step], method: str, full
         part = part if part is None else hypot(part, *others)
         each = [max(abs(step.moved[name]) for step in members) for name in causes if name.endswith("zero")]
         e = mean_of_trials(symbol, ("1", "ratio"), method, at, names, values, None, part, ALONE, lacking)
-        return weighed(e, [Doubt(ZEROS, "method", by * hypot(*each), seen=False)])
+        doubts = {ZEROS: hypot(*each)} | ({OTHER_LOAD: max(loads)} if any(loads) else {})
+        return weighed(e, [Doubt(cause, "method", by * size, seen=False) for cause, size in doubts.items()])
 
     x = float(np.mean([step.measured for step in members]))
     e_sim = float(np.mean([_rms(step, method) for step in members]))
@@ -321,7 +353,7 @@ def _findings(runs: Sequence[RunData], steps: Sequence[_Step], full: float) -> l
     lines.append(Finding("note", f"simulated with: {model.source}"))
     if model.surface is not None:
         lines += _beyond(steps, *model.surface.reach)
-    lines += [*_off_zero_findings(steps), *_moving(steps)]
+    lines += [*_off_zero_findings(steps), *_of_loads(steps), *_moving(steps)]
     if outside:
         places = ", ".join(show(p, "pressure") for p in outside)
         lines.append(Finding("doubt", f"the coefficients are continued beyond what is known of them at {places}"))
@@ -373,6 +405,22 @@ def _off_zero_findings(steps: Sequence[_Step]) -> list[Finding]:
             text += f" calibration and its noise allow: {WHY[channel]}. The intervals hold it"
             found.append(Finding("doubt", text))
     return found
+
+
+def _of_loads(steps: Sequence[_Step]) -> list[Finding]:
+    """A doubt where the force cell contradicts the load of the protocol."""
+    pulled = [step for step in steps if step.pulls]
+    if not pulled:
+        return []
+    worst = max(pulled, key=lambda step: abs(step.pulls))
+    load = load_of(worst.trial)[0]
+    text = (
+        f"in the window of {len(pulled)} of {len(steps)} steps the force cell reads up to "
+        f"{show(load + worst.pulls, 'force', 3)} where the protocol has a load of {show(load, 'force', 3)}: another "
+        "load hangs, or the cell's zero is off. The model is simulated with the load of the protocol; the intervals "
+        "hold what the cell reads"
+    )
+    return [Finding("doubt", text)]
 
 
 def _trace(step: _Step) -> Trace:
