@@ -17,7 +17,7 @@ from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError, UsageError, did_you_mean
 from pmabench.base.quantities import CHANNEL_QUANTITY, QUANTITIES, show
 from pmabench.cli.common import Group, Ui, common, fields, read_quantity
-from pmabench.cli.names import BENCH, FILE, PATH, SPECIMEN
+from pmabench.cli.names import BENCH, HTML, PATH, SPECIMEN
 from pmabench.cli.outcome import AtLines, outcome_json, print_checks, print_outcome, progress_line, show_outcome
 from pmabench.engine.operator import ConfirmedBeforehand, Nobody, Operator
 from pmabench.report.terminal import print_grid, print_texts
@@ -38,7 +38,7 @@ def command() -> None:
 @click.option(
     "--specimen", type=SPECIMEN, help="Specimen file, or the name of a shipped one: its limits are counted in."
 )
-@click.option("-o", "--output", required=True, type=FILE, help="The HTML file.")
+@click.option("-o", "--output", required=True, type=HTML, help="The HTML file.")
 @common
 def card(ui: Ui, bench: str, specimen: str | None, output: Path) -> None:
     """Write the card of BENCH: limits, what vents, what happens when something fails, wiring.

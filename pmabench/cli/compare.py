@@ -14,7 +14,7 @@ import click
 
 from pmabench.base.errors import InvalidFile, UsageError, invalid
 from pmabench.cli.common import Ui, common, fields, no_pipes, read_quantity
-from pmabench.cli.names import FILE, RunFolder, in_full
+from pmabench.cli.names import HTML, RunFolder, in_full
 from pmabench.report.terminal import print_grid
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ _LIMIT = re.compile(r"\s*(E_n|difference)\s*(?:<=?|≤|=)\s*(.+?)\s*")
 @click.option("--method", "methods", multiple=True, help="Of both; given twice: that of A, then that of B.")
 @click.option("--at", "places", multiple=True, metavar="PRESSURE", help="At this pressure; between points by a line.")
 @click.option("--accept", "accepted", multiple=True, metavar='"E_n<=1"', help='Exit 6 beyond; also "difference<=2 %".')
-@click.option("-o", "--output", type=FILE, help="Write figures and tables (HTML).")
+@click.option("-o", "--output", type=HTML, help="Write figures and tables (HTML).")
 @click.option("--fresh", is_flag=True, help="Compute anew what `process` stored and nothing has changed.")
 @common
 def command(

@@ -11,7 +11,7 @@ import click
 
 from pmabench.base.errors import InvalidFile, UsageError, invalid
 from pmabench.cli.common import Ui, common, fields, no_pipes
-from pmabench.cli.names import FILE, PATH
+from pmabench.cli.names import HTML, PATH
 from pmabench.files.shipped import find_file
 from pmabench.report.terminal import print_grid
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 @click.command(name="history")
 @click.argument("specimen")
 @click.argument("folder", default="runs", type=PATH)
-@click.option("-o", "--output", type=FILE, help="Write figures and tables (HTML).")
+@click.option("-o", "--output", type=HTML, help="Write figures and tables (HTML).")
 @common
 def command(ui: Ui, specimen: str, folder: Path, output: Path | None) -> None:
     """One SPECIMEN over its life: coefficients, cycles and time at pressure from its runs in FOLDER.

@@ -118,8 +118,24 @@ def shipped_files(kind: str) -> list[Path]:
     return sorted(shipped_folder(kind).glob("*.yaml"))
 
 
+class HtmlFile(click.Path):
+    """The file of a page; a name of another format would mislead."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The path, unless it ends like a file of another program."""
+        path = super().convert(value, param, ctx)
+        if path.suffix.lower() in OTHERS:
+            option = f"--{path.suffix.lower()[1:]}"
+            known = ctx is not None and any(option in one.opts for one in ctx.command.params)
+            instead = f"; `{option} {path}` writes that" if known else ""
+            self.fail(f"{path} would be a page of HTML: name it {path.with_suffix('.html')}{instead}", param, ctx)
+        return path
+
+
+OTHERS = {".pdf", ".xlsx", ".docx", ".csv", ".json", ".png", ".svg"}
 PATH = click.Path(path_type=Path)
 FILE = click.Path(path_type=Path, dir_okay=False)
+HTML = HtmlFile(path_type=Path, dir_okay=False)
 FOLDER = click.Path(path_type=Path, file_okay=False)
 BENCH, SPECIMEN, PROTOCOL, CAMPAIGN = (Named(kind) for kind in ("bench", "specimen", "protocol", "campaign"))
 

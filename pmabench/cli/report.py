@@ -15,7 +15,7 @@ import click
 from pmabench.base.errors import InvalidFile, Problem, UsageError, invalid
 from pmabench.base.quantities import QUANTITIES
 from pmabench.cli.common import Ui, common, no_pipes
-from pmabench.cli.names import FILE, PATH, RunFolder, next_lines
+from pmabench.cli.names import FILE, HTML, PATH, RunFolder, next_lines
 
 if TYPE_CHECKING:
     from pmabench.cli.process import Processed
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 @click.command(name="report")
 @click.argument("sources", nargs=-1, required=True, type=RunFolder(), metavar="RUN-OR-ANALYSIS...")
-@click.option("-o", "--output", required=True, type=FILE, help="The HTML file.")
+@click.option("-o", "--output", required=True, type=HTML, help="The HTML file.")
 @click.option("--pdf", type=FILE, help="Also as a tagged PDF; needs the extra pdf.")
 @click.option("--xlsx", type=FILE, help="Also as a workbook; needs the extra xlsx.")
 @click.option("--figures", type=PATH, metavar="DIR", help="Also each figure as an SVG file, with captions.txt.")

@@ -30,6 +30,17 @@ def test_every_command_has_help_of_its_own(name):
     assert "Usage:" in call(name, "--help").output
 
 
+@pytest.mark.parametrize(("name", "instead"), [("x.pdf", "--pdf x.pdf"), ("x.XLSX", "--xlsx x.XLSX"), ("x.csv", "")])
+def test_a_page_is_not_written_under_the_name_of_another_format(name, instead, tmp_path, monkeypatch):
+    """`report -o x.pdf` wrote HTML that no reader of PDF opens."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "run").mkdir()
+    said = " ".join(call("report", "run", "-o", name, code=2).output.split())
+    assert "would be a page of HTML: name it x.html" in said
+    assert instead in said
+    assert not (tmp_path / name).exists()
+
+
 def test_a_wrong_command_gets_the_nearest():
     assert 'did you mean "check"' in call("chek", code=2).output
 
