@@ -137,6 +137,36 @@ def test_hurry_leaves_out_waits_and_nothing_else():
     assert advance(guard, STAYS, LOW).confirmed
 
 
+PATIENT = (*SAFE[:-1], replace(SAFE[-1], within=60.0))
+
+
+def test_a_second_signal_ends_the_wait_for_confirmations_and_a_first_one_does_not():
+    guard, _ = armed(bench(safe_state=PATIENT))
+    guard.set("pressure", 200e3)
+    guard.begin_safe()
+    guard.step_safe({})
+    assert advance(guard, 15.0, HIGH) is None
+    guard.begin_safe(hurry=1)
+    assert advance(guard, 15.0, HIGH) is None
+    guard.begin_safe(hurry=2)
+    vent = advance(guard, 0.1, HIGH)
+    assert vent.result == "commanded"
+    assert vent.actions[-2:] == (
+        "confirm pressure: 300 kPa, not below 20 kPa within 60 s",
+        "waited 30.1 s, ended on request",
+    )
+
+
+def test_whoever_hurries_before_a_late_command_can_come_still_learns_that_the_bench_is_safe():
+    guard, _ = armed(bench(safe_state=PATIENT))
+    guard.set("pressure", 200e3)
+    guard.begin_safe(hurry=2)
+    guard.step_safe({})
+    assert advance(guard, LINGERS - 0.1, HIGH) is None
+    assert advance(guard, 0.1, LOW) is None
+    assert advance(guard, STAYS, LOW).confirmed
+
+
 def test_commands_are_sent_again_while_the_confirmation_is_waited_for():
     guard, rig = armed()
     rig.reported.clear()
