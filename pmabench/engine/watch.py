@@ -262,7 +262,7 @@ class Watch:
         for index in range(len(t)):
             moment, value = float(t[index]), float(samples[index])
             asked = self._asked(limit.channel, moment)
-            at_rest = pressure and asked <= self._rest
+            at_rest = pressure and limit.action != "warn" and asked <= self._rest
             if not value - asked > most or not (at_rest or limit.action == "hold"):
                 watched.high = None
             elif watched.high is None or value < watched.high[1] - FALLS * most:

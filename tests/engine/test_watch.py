@@ -366,6 +366,19 @@ def test_a_pressure_above_its_command_is_not_held_for(what, cuts):
 
 
 @pytest.mark.parametrize(
+    ("action", "found"), [("warn", ("warn", 4.0)), ("stop", ("vent", 1.5)), ("hold", ("vent", 1.5))]
+)
+def test_a_pressure_that_stays_where_a_vented_muscle_is_commanded_is_vented(action, found):
+    """One that only warns goes on to do so."""
+    t = np.arange(2500) / RATE
+    watch = Watch(
+        [limit("following", high=60e3, delay=3.0, action=action)], [CHANNEL], commands((0.0, 1e5), (1.0, 5e3)), 20e3
+    )
+    (trip,) = watch.look(t, {"pressure": np.full(len(t), 1e5)})
+    assert (trip.limit.action, round(trip.t, 2)) == found
+
+
+@pytest.mark.parametrize(
     ("kind", "channel", "value", "too_high"),
     [
         ("range", "pressure", 660e3, True),
