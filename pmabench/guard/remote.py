@@ -75,7 +75,7 @@ def vent_directly(
     finally:
         guard.close()
     latched = bool(station.latched()) or not vent.confirmed or guard.state is State.TRIPPED
-    why = UNCLEAN if unclean else why
+    why = f"{UNCLEAN} ({why})" if unclean else why
     why = "; ".join([why, *(guard.faults() if vent.confirmed else [f"safe state {vent.result}"])])
     with suppress(RecordError):
         station.note("tripped" if latched else "safe", why=why, vent=vars(vent))

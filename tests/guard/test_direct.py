@@ -206,10 +206,10 @@ def test_the_engine_vents_itself_where_its_guard_is_gone():
     station(what="armed", run="r")
     with pytest.raises(DeviceError, match="is not there any more"):
         guard.set("pressure", 1e5)
-    vent = guard.safe_state(dict, why="lost")
+    vent = guard.safe_state(dict, why="guard: does not answer")
     assert vent.confirmed
     assert guard.safe_state(dict) is vent
-    assert Station("rig").latched().startswith(UNCLEAN)
+    assert Station("rig").latched().startswith(f"{UNCLEAN} (guard: does not answer)")
     guard.close()
 
 
