@@ -207,7 +207,7 @@ class SafeState:
         self.away: set[str] = set()
         """Those of them whose device must be opened again."""
         self.refusing: set[str] = set()
-        """Targets whose device answers, and does not obey: it refused the command, is busy, or holds something else."""
+        """Targets whose device answers, and does not obey: it refused the command, holds something else or stays busy."""
         self.unmoved: set[str] = set()
         """Channels that have not fallen, or not come to rest, after all commands."""
         self.commands: list[SafeAction] = []
@@ -343,8 +343,7 @@ class SafeState:
     def _send(self, action: SafeAction, now: float) -> _Sent:
         sent = self._command(action, now)
         self._sent.append(sent)
-        if action.do in AT_ONCE:
-            self.commands.append(action)
+        self.commands += [action] * (action.do in AT_ONCE)
         return sent
 
     def _command(self, action: SafeAction, now: float) -> _Sent:
@@ -437,7 +436,8 @@ class SafeState:
         elif not again:
             self._again[self._at_once(sent.action) if sent.action.do == "ramp" else sent.action] = sent
             self.fault(f"{name}: failed ({wrong})")
-        refuses = bool(wrong and (sent.said() or isinstance(way.error, NotSent | Busy)))
+        busy = isinstance(way.error, Busy) and target in self.missing  # the second time: it stays busy
+        refuses = bool(wrong and (sent.said() or busy or isinstance(way.error, NotSent)))
         (self.refusing.add if refuses else self.refusing.discard)(target)
         if wrong and not refuses:
             self.missing.setdefault(target, now)

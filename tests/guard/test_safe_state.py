@@ -8,7 +8,7 @@ from math import inf
 import pytest
 
 from pmabench.base.clock import RealClock, VirtualClock
-from pmabench.base.errors import DeviceError, LimitRefused, NotSent
+from pmabench.base.errors import Busy, DeviceError, LimitRefused, NotSent
 from pmabench.bench.interface import ChannelRecord, DeviceRecord, SafeAction, Scale, TripRecord, ValveRecord
 from pmabench.guard import course
 from pmabench.guard.guard import Guard, State
@@ -689,6 +689,27 @@ def test_a_command_that_is_refused_in_an_answer_closes_the_line_and_one_without_
     for leaking in (2.9e5, 2.8e5, 2.7e5):  # that is no effect
         advance(guard, 0.1, {"pressure": leaking})
     assert rig.values("close")
+
+
+@pytest.mark.parametrize(("lasts", "result"), [(1, "confirmed"), (2, "commanded")])
+def test_a_device_that_is_busy_is_asked_a_second_time_before_its_line_is_closed(lasts, result):
+    """Busy for 0.3 s it was left to its watchdog, 0.75 s with a muscle that is full."""
+    guard, rig = armed(bench(replace(DEVICE, outputs=(OUTPUT,)), safe_state=SAFE[1:]))
+    guard.set("pressure", 300e3)
+    rig.wrong |= dict.fromkeys(("write", "rescue"), Busy("dac", "exception 6"))
+    guard.begin_safe()
+    advance(guard, 0.01, HIGH)
+    assert not rig.values("close")
+    if lasts == 1:
+        rig.wrong.clear()
+    advance(guard, 0.11, HIGH)
+    advance(guard, 0.01, HIGH)
+    assert bool(rig.values("close")) == (lasts == 2)
+    vent = None
+    while vent is None:
+        vent = advance(guard, 0.1, LOW)
+    assert vent.result == result
+    assert guard.state is State.TRIPPED
 
 
 def test_a_device_that_cannot_be_opened_again_is_tried_again():
