@@ -96,8 +96,10 @@ def run_campaign(
         title = f"{number + 1} of {len(planned)}: {run.plan.name} on {mounted.bench.name}"
         continues = None
         before = _before(out, name, number, run.plan.sha256) if resume else None
-        if before is not None:
-            folder, status = before
+        if before is not None and not before[2]:
+            say(f"{title}: {_of_another_plan(*before[:2])}")
+        elif before is not None:
+            folder, status, _ = before
             if status == "finished" or (status == "failed" and not ended_early(open_run(folder))):
                 ui.note(f"{title}: {status} already, in {folder.name}")
                 if done is not None:
@@ -120,8 +122,20 @@ def run_campaign(
     return outcomes
 
 
-def _before(out: Path, campaign: str, number: int, plan_sha256: str) -> tuple[Path, str] | None:
-    """The newest run of this place in the campaign and its status, where `out` holds one."""
+def _of_another_plan(folder: Path, status: str) -> str:
+    """What becomes of a run that `--resume` cannot use: nothing is dropped without a word (R7)."""
+    changed = "the campaign, a file that it names or pmabench has changed since"
+    text = f"{folder.name} ({status}) is of another plan: {changed}"
+    left = "" if status == "finished" else f"; what is left of it:  pmabench continue {short(folder)}"
+    return f"{text}. It is not used, and all trials begin anew{left}"
+
+
+def _before(out: Path, campaign: str, number: int, plan_sha256: str) -> tuple[Path, str, bool] | None:
+    """The newest run of this place in the campaign, its status, and whether it has this plan.
+
+    One of another plan only where `out` holds none of this one.
+    """
+    other = None
     from pmabench.store.catalogue import catalogue
     from pmabench.store.folder import read_manifest
 
@@ -130,9 +144,12 @@ def _before(out: Path, campaign: str, number: int, plan_sha256: str) -> tuple[Pa
             continue
         manifest = read_manifest(out / row.folder)
         place = manifest.get("campaign") or {}
-        if (place.get("name"), place.get("number"), manifest.get("plan_sha256")) == (campaign, number, plan_sha256):
-            return out / row.folder, row.status
-    return None
+        if (place.get("name"), place.get("number")) == (campaign, number):
+            same = manifest.get("plan_sha256") == plan_sha256
+            if same:
+                return out / row.folder, row.status, True
+            other = other or (out / row.folder, row.status, False)
+    return other
 
 
 @click.command(name="demo")

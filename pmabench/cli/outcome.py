@@ -276,6 +276,8 @@ class AtLines:
 
     def line(self, prompt: str, wait: Callable[[], None]) -> str:
         """The next line that is typed; raises Interrupted at the end of the input."""
+        if sys.stderr.isatty():
+            rewrite()
         sys.stderr.write(prompt)
         sys.stderr.flush()
         descriptor = _descriptor()

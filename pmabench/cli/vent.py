@@ -7,25 +7,27 @@ import os
 import socket
 import threading
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import click
 
-from pmabench.base.errors import LimitRefused, PmaError, UsageError, did_you_mean
-from pmabench.base.system import user_name
+from pmabench.base.errors import DeviceError, LimitRefused, PmaError, UsageError, did_you_mean
+from pmabench.base.system import try_lock, user_name
 from pmabench.cli.common import Ui, common
 from pmabench.cli.names import BENCH
 from pmabench.files.shipped import find_file
-from pmabench.guard.station import Station, stations
+from pmabench.guard.station import Station, folder_name, root, stations
 from pmabench.guard.wire import Messages, encode, keys
 
 ANSWERS_WITHIN = 0.1
 """A guard that does not answer for so long [s] is gone round."""
-CONFIRMS_WITHIN = 60.0
-"""Longest time that the outcome is waited for [s]."""
+ENDS_WITHIN = 2.0
+"""Longest wait for the end of the vented run before a reset is refused [s]."""
+CONFIRMS_WITHIN = 70.0
+"""Longest time that the outcome is waited for [s]: a bench file allows 60 s to confirm a vent."""
 
 
 @dataclass(frozen=True)
@@ -141,11 +143,42 @@ def _all_at_once(ui: Ui, found: list[tuple[Station, dict[str, Any]]], began: flo
 
 
 def _vent(ui: Ui, station: Station, saved: dict[str, Any], began: float) -> Vented:
-    guard = station.read("guard")
-    if guard:
-        by_guard = _by_guard(ui, saved.get("name", station.folder.name), guard, began)
-        if by_guard is not None:
-            return by_guard
+    """Vent a bench by its guard; without one, by the guard of another bench that holds its devices, or directly."""
+    if (vented := _by_guard(ui, station, saved, began)) is not None:
+        return vented
+    for other in stations():
+        if other.folder == station.folder or not other.read("guard"):
+            continue
+        its = other.read("bench")
+        shared = _places(saved) & _places(its)
+        if shared and _held(shared):
+            vented = _by_guard(ui, other, its, began) or _directly(other, its, began)
+            if _places(saved) <= _places(its):
+                way = f'{vented.way} (of "{vented.bench}", which has its devices)'
+                return replace(vented, bench=saved["name"], way=way)
+    return _directly(station, saved, began)
+
+
+def _places(saved: dict[str, Any]) -> set[str]:
+    """Addresses of the devices of a compiled bench, as they are locked."""
+    from pmabench.bench.interface import place
+
+    return {place(device["address"], device["options"]) for device in saved.get("devices", ())} - {""}
+
+
+def _held(places: Iterable[str]) -> str:
+    """The first of these devices that a program uses now, and which; empty if there is none."""
+    for where in sorted(places):
+        path = root() / f"{folder_name(where)}.device"
+        lock = try_lock(path) if path.exists() else -1
+        if lock is None:
+            return f"its device at {where} is in use by {path.read_text('utf-8').strip() or 'another program'}"
+        if lock >= 0:
+            os.close(lock)
+    return ""
+
+
+def _directly(station: Station, saved: dict[str, Any], began: float) -> Vented:
     from pmabench.bench.interface import CompiledBench
     from pmabench.guard.remote import vent_directly
 
@@ -156,13 +189,13 @@ def _vent(ui: Ui, station: Station, saved: dict[str, Any], began: float) -> Vent
         raise UsageError(f'"{compiled.name}" exists in virtual time only: there is nothing to vent')
     commanded = time.monotonic() - began
     vent = vent_directly(compiled, station, f"vent by {_who()}")
-    way = "the devices, opened here: the guard does not answer" if guard else "the devices, opened here"
+    way = "the devices, opened here" + (": the guard does not answer" if station.read("guard") else "")
     return Vented(compiled.name, way, vent.result, vent.actions, commanded)
 
 
-def _by_guard(ui: Ui, name: str, guard: dict[str, Any], began: float) -> Vented | None:
-    """Ask the guard; None where it does not answer in time, or not to the end."""
-    commanded = 0.0
+def _by_guard(ui: Ui, station: Station, saved: dict[str, Any], began: float) -> Vented | None:
+    """Ask the guard; None where there is none, or it does not answer in time, or not to the end."""
+    guard, name, commanded = station.read("guard"), saved.get("name", station.folder.name), 0.0
     try:
         asking, answering = keys(guard["token"])
         messages = Messages(answering)
@@ -186,9 +219,11 @@ def _closed() -> bytes:
 
 def _reset(station: Station, saved: dict[str, Any], operator: str, because: str) -> str:
     """Clear the latch, and say why it was tripped; refused while a run is going on."""
-    deadline = time.monotonic() + 2.0
+    deadline = time.monotonic() + ENDS_WITHIN
     while True:
         try:
+            if held := _held(_places(saved) | set(station.read("state").get("devices", ()))):
+                raise DeviceError(station.name, held)
             station.take()
             break
         except PmaError as error:

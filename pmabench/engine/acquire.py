@@ -88,7 +88,7 @@ class Acquisition:
         """Reports to the guard that this program is alive, at times when it does not ask the guard for samples."""
         self.holding: set[str] = set()
         """Limits with the action `hold` that are exceeded now."""
-        self._watch: Watch | None = Watch(bench.trips, bench.channels, self.commanded)
+        self._watch: Watch | None = Watch(bench.trips, bench.channels, self.commanded, bench.hands_below)
         self._bench = bench
         self._tripped: Exception | None = None
         self.doubted = ""
@@ -175,7 +175,7 @@ class Acquisition:
         """From now on act only on limits that vent at once: the others would stop a run that is already stopping."""
         with self._lock:
             limits = [limit for limit in self._bench.trips if limit.action == "vent"]
-            self._watch = Watch(limits, self._bench.channels, self.commanded)
+            self._watch = Watch(limits, self._bench.channels, self.commanded, self._bench.hands_below)
             self._tripped = None
             self.holding.clear()
 

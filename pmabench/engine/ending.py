@@ -31,14 +31,14 @@ class Signals:
     """While entered, SIGINT, SIGTERM and SIGHUP become an `Interrupted` at the next `check`.
 
     While `waiting` (for a person to type) they are raised at once. After `shut` they are only counted: the safe state
-    has begun and nothing cancels it; further signals only shorten its waits.
+    has begun and nothing cancels it; further signals only shorten its waits (`hurry`).
     """
 
     def __init__(self) -> None:
         self.pending: list[int] = []
         self.waiting = False
         self._shut = False
-        self._acted_on = 0
+        self._acted_on = self._before_shut = 0
         self._before: dict[int, Any] = {}
 
     def __enter__(self) -> Signals:
@@ -83,7 +83,18 @@ class Signals:
 
     def shut(self) -> None:
         """From now on only count signals."""
-        self._shut = True
+        self._shut, self._before_shut = True, len(self.pending)
+
+    def hurry(self) -> int:
+        """Which waits of the safe state new signals end: 0 none, 1 ramps and holds, 2 that for confirmations too.
+
+        A first Ctrl-C (or closed terminal) in the safe state ends ramps and holds only: the operator wants it quick,
+        and still wants to know how it ends. Who sends a second one, or SIGTERM, wants the program to end.
+        """
+        if not self.news():
+            return 0
+        late = self.pending[self._before_shut :]
+        return 2 if len(late) > 1 or signal.SIGTERM in late else 1
 
 
 def ahead() -> float:

@@ -291,7 +291,7 @@ class _Run:
             tripped=latches, hurry=hurry, why=why, doubted=acquisition.doubted
         )
         if isinstance(self.guard, RemoteGuard):
-            acquisition.beat = self.guard.beat
+            acquisition.beat, self.guard.hurried = self.guard.beat, self.signals.hurry
         cause: BaseException | None = None
         try:
             acquisition.start()
@@ -376,8 +376,8 @@ class _Run:
 
     def _measure(self) -> Mapping[str, float]:
         """Newest values for the safe state [SI]; further signals shorten its waits."""
-        if self.signals.news():
-            self.guard.begin_safe(hurry=True)
+        if hurry := self.signals.hurry():
+            self.guard.begin_safe(hurry=hurry)
         self.own.keep_measuring(self.acquisition.rate)
         values: Mapping[str, float] = {}
         try:  # meanwhile the guard still uses the former values

@@ -20,7 +20,11 @@ RATE_WINDOW = 0.02
 """Window of a rate where the limit does not give one [s]."""
 FALLS, LEAST = 0.1, 0.5
 """A value counts as falling if it fell by the first share of the allowed deviation [1] within the limit's delay, but
-not less than the second [s]."""
+not less than the second [s].
+
+It counts as moving if it went that share of the deviation within the same share of the delay: a regulator with a lag
+below the delay is faster than that wherever it is too far from its command.
+"""
 ENDS = ("stop", "vent")
 """Actions that end the run."""
 
@@ -89,6 +93,13 @@ class _Watched:
         self.limit = limit
         self.since: float | None = None
         """Since when the value is outside [s]; None while inside."""
+        self.outside = self.seen = 0.0
+        """For the watch list: time outside minus the time inside after it, not below 0 [s], and time of the sample up
+        to which it counts. A value that is inside for a moment again and again is outside all the same."""
+        self.mark = 0.0, 0.0
+        """When and where the value last moved [s, SI], for `following`."""
+        self.moves = 0.0
+        """Direction in which it moves: 1, -1, or 0."""
         self.active = False
         """Whether the limit is exceeded and was reported, with an action that does not end the run."""
         self.heard: float | None = None
@@ -111,7 +122,10 @@ class Watch:
         limits: Sequence[TripRecord],
         channels: Sequence[ChannelRecord] = (),
         commanded: Commanded | None = None,
+        rest: float = 0.0,
     ) -> None:
+        """`rest` is the highest pressure that counts as vented [Pa]."""
+        self._rest = rest
         self._watched = [_Watched(limit) for limit in limits]
         self._channels = {channel.name: channel for channel in channels}
         self._commanded = commanded or Commanded()
@@ -144,7 +158,7 @@ class Watch:
             if watched.limit.kind == "range" and not watched.active and self._inside(watched, extremes):
                 continue
             found += self._one(watched, t, samples)
-            if watched.limit.kind == "following" and watched.limit.action == "hold":
+            if watched.limit.kind == "following":
                 found += self._not_falling(watched, t, samples)
         found.sort(key=lambda trip: trip.index)
         return found[: next((n + 1 for n, trip in enumerate(found) if trip.limit.action in ENDS), None)]
@@ -200,43 +214,67 @@ class Watch:
     def _one(self, watched: _Watched, t: Array, samples: Array) -> list[Trip]:
         outside, shown = self._outside(watched, t, samples)
         found: list[Trip] = []
-        since, limit = watched.since, watched.limit
+        if not (outside.any() or watched.active or watched.outside or watched.since is not None):
+            return found
+        limit = watched.limit
         instant = limit.kind == "frozen"  # its delay is already part of the test
-        for index in np.flatnonzero(outside | np.concatenate(([True], outside[:-1]))):
+        for index, (moment, value) in enumerate(zip(t.tolist(), samples.tolist(), strict=True)):
+            passed, watched.seen = moment - watched.seen, moment
             if not outside[index]:
-                since = None
-                self._over(watched, int(index), float(t[index]), float(samples[index]), found)
+                watched.since, watched.outside = None, max(0.0, watched.outside - passed)
+                self._over(watched, index, moment, value, found)
                 continue
-            since = t[index] if since is None else since
-            if (instant or t[index] - since >= limit.delay) and not watched.active:
-                found.append(Trip(limit, int(index), float(t[index]), float(shown[index])))
+            begins = watched.since is None
+            watched.since = since = moment if watched.since is None else watched.since
+            if limit.kind == "following" and self._comes_nearer(watched, moment, value, begins=begins):
+                watched.outside = max(0.0, watched.outside - passed)
+            elif not begins and limit.kind != "range":  # the delay of a limit begins anew
+                watched.outside += passed
+            lasts = max(moment - since, watched.outside) >= limit.delay
+            if (instant or lasts) and not watched.active:
+                found.append(Trip(limit, index, moment, float(shown[index])))
                 if limit.action in ENDS:
                     return found
                 watched.active = True
-        watched.since = float(since) if since is not None and outside[-1] else None
         return found
 
-    def _not_falling(self, watched: _Watched, t: Array, samples: Array) -> list[Trip]:
-        """A vent, if a value above its command does not fall while the bench is held.
+    def _comes_nearer(self, watched: _Watched, moment: float, value: float, *, begins: bool) -> bool:
+        """Whether a value that is too far from its command moves towards it: then it only lags, as every regulator."""
+        limit = watched.limit
+        if begins:
+            watched.mark, watched.moves = (moment, value), 0.0
+        way = value - watched.mark[1]
+        if abs(way) >= FALLS * (limit.high or 0.0) > 0:
+            watched.mark, watched.moves = (moment, value), math.copysign(1.0, way)
+        elif moment - watched.mark[0] > FALLS * limit.delay:
+            watched.moves = 0.0
+        return watched.moves * (self._asked(limit.channel, moment) - value) > 0
 
-        Nothing is sent during a hold, so a stuck valve or another program's command is not corrected.
+    def _not_falling(self, watched: _Watched, t: Array, samples: Array) -> list[Trip]:
+        """A vent, if a value above its command does not fall: a pressure where a vented muscle is commanded, or any
+        while the bench is held.
+
+        Nothing is sent during a hold, so a stuck valve or another program's command is not corrected. At rest nobody
+        expects pressure.
         """
         limit = watched.limit
-        most = limit.high or 0.0
+        most, pressure = limit.high or 0.0, CHANNEL_QUANTITY[limit.channel] == "pressure"
         for index in range(len(t)):
             moment, value = float(t[index]), float(samples[index])
-            if not value - self._asked(limit.channel, moment) > most:
+            asked = self._asked(limit.channel, moment)
+            at_rest = pressure and limit.action != "warn" and asked <= self._rest
+            if not value - asked > most or not (at_rest or limit.action == "hold"):
                 watched.high = None
             elif watched.high is None or value < watched.high[1] - FALLS * most:
                 watched.high = moment, value
-            elif moment - watched.high[0] >= max(limit.delay, LEAST):
+            elif moment - watched.high[0] >= (LEAST if at_rest else max(limit.delay, LEAST)):
                 return [Trip(replace(limit, kind="above", action="vent"), index, moment, value)]
         return []
 
     @staticmethod
     def _over(watched: _Watched, index: int, t: float, value: float, found: list[Trip]) -> None:
         if watched.active:
-            watched.active = False
+            watched.active, watched.outside = False, 0.0
             found.append(Trip(watched.limit, index, t, value, over=True))
 
     def _outside(self, watched: _Watched, t: Array, samples: Array) -> tuple[NDArray[np.bool_], Array]:

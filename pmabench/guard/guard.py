@@ -8,6 +8,7 @@ In virtual time it lives in the engine's process, at a real bench in the guard p
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from enum import Enum
 from functools import partial
 from itertools import takewhile
@@ -301,11 +302,11 @@ class Guard:
 
     # -- the safe state -----------------------------------------------------------------------------------------
 
-    def begin_safe(self, *, tripped: bool = False, hurry: bool = False, why: str = "", doubted: str = "") -> None:
+    def begin_safe(self, *, tripped: bool = False, hurry: int = 0, why: str = "", doubted: str = "") -> None:
         """Begin the declared safe state; once it is over, only send its commands again.
 
-        `hurry` skips ramps and holds. The first `why` is kept. `doubted` is a channel that reads low and may stand
-        still: it confirms nothing until it has read high.
+        `hurry` 1 skips ramps and holds, 2 also ends the wait for confirmations. The first `why` is kept. `doubted` is a
+        channel that reads low and may stand still: it confirms nothing until it has read high.
         """
         self.why = self.why or why
         self._tripped = self._tripped or tripped or self.state is State.TRIPPED
@@ -332,7 +333,7 @@ class Guard:
             for action in self._safe.commands:
                 self._begin(action)
         if hurry:
-            self._safe.hurry()
+            self._safe.hurry(hurry)
 
     def _expected(self, name: str) -> tuple[float, float]:
         """Value that an output is commanded to now, inf if unknown, and the allowed deviation from it [SI]."""
@@ -363,16 +364,13 @@ class Guard:
     def safe_state(self, measure: Measure, *, tripped: bool = False, why: str = "") -> Vent:
         """Run the safe state to its end. If `measure` fails, the vent is `commanded`, not `confirmed`."""
         self.begin_safe(tripped=tripped, why=why)
-        vent = self.step_safe({})
-        while vent is None:
-            before = self.clock.now()
-            try:
+        latest: Mapping[str, float] = {}
+        while (vent := self.step_safe(latest)) is None:
+            before, latest = self.clock.now(), {}
+            with suppress(Exception):  # the vent's outcome is recorded whatever goes wrong while measuring
                 latest = measure()
-            except Exception:  # the vent's outcome is recorded whatever goes wrong while measuring
-                latest = {}
             if self.clock.now() <= before:
                 self.clock.wait_until(before + 0.1)
-            vent = self.step_safe(latest)
         return vent
 
     def feeds(self, record: DeviceRecord) -> bool:

@@ -14,7 +14,7 @@ import sys
 import threading
 import time
 from array import array
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import IO, Any
 
@@ -35,11 +35,17 @@ MEASURED_FIRST = 0.5
 """Longest wait for a first measured value before a safe ramp begins [s]."""
 
 
-def vent_directly(bench: CompiledBench, station: Station, why: str) -> Vent:
+def vent_directly(
+    bench: CompiledBench,
+    station: Station,
+    why: str,
+    doubted: str = "",
+    hurried: Callable[[], int] = lambda: 0,
+) -> Vent:
     """Open the guarded devices here, run the safe state, write its result into the bench's state folder.
 
     Devices that cannot be opened are left out, the others are vented. The bench is latched if it was armed or tripped
-    before, or is not confirmed to be safe now.
+    before, or is not confirmed to be safe now. `doubted`, and the levels of `hurried`, are as in `Guard.begin_safe`.
     """
     guard = _opened(bench)
     if any(record.guarded and record.name not in guard.devices for record in bench.devices) and _killed(station):
@@ -51,6 +57,8 @@ def vent_directly(bench: CompiledBench, station: Station, why: str) -> Vent:
 
     def measure() -> Mapping[str, float]:
         guard.latest.clear()
+        if hurry := hurried():
+            guard.begin_safe(hurry=hurry, doubted=doubted)
         guard.attend(guard.clock.now(), RATE)  # each time: late samples may still confirm the vent
         guard.clock.wait_until(guard.clock.now() + 0.05)
         for name in list(guard.devices):
@@ -62,11 +70,12 @@ def vent_directly(bench: CompiledBench, station: Station, why: str) -> Vent:
         until = guard.clock.now() + MEASURED_FIRST
         while any(a.do == "ramp" for a in bench.safe_state) and not measure() and guard.clock.now() < until:
             pass  # a ramp must not begin above the measured value
+        guard.begin_safe(doubted=doubted)
         vent = guard.safe_state(measure)
     finally:
         guard.close()
     latched = bool(station.latched()) or not vent.confirmed or guard.state is State.TRIPPED
-    why = UNCLEAN if unclean else why
+    why = f"{UNCLEAN} ({why})" if unclean else why
     why = "; ".join([why, *(guard.faults() if vent.confirmed else [f"safe state {vent.result}"])])
     with suppress(RecordError):
         station.note("tripped" if latched else "safe", why=why, vent=vars(vent))
@@ -159,6 +168,10 @@ class RemoteGuard:
         self._process: subprocess.Popen[bytes] | None = None
         self._here: dict[str, Any] = {}
         self._safe = False
+        self._doubted = ""
+        """As in `begin_safe`, in case the guard is lost."""
+        self.hurried: Callable[[], int] = lambda: 0
+        """Level of `begin_safe` that the operator has asked for since the last call; for a vent without the guard."""
         self._vent: Vent | None = None
         self._state = "disarmed"
 
@@ -259,9 +272,9 @@ class RemoteGuard:
         output = self._outputs[name]
         return float(output.scale.to_si(to_device(output, value)))
 
-    def begin_safe(self, *, tripped: bool = False, hurry: bool = False, why: str = "", doubted: str = "") -> None:
+    def begin_safe(self, *, tripped: bool = False, hurry: int = 0, why: str = "", doubted: str = "") -> None:
         """Have the guard begin the safe state; from any thread. `safe_state` waits for its end."""
-        self._safe = True
+        self._safe, self._doubted = True, self._doubted or doubted
         with suppress(PmaError):
             self.ask("safe", tripped=tripped, hurry=hurry, why=why, doubted=doubted)
 
@@ -282,7 +295,8 @@ class RemoteGuard:
             if self._process is not None:
                 self._process.kill()  # its commands must not continue after this vent
             try:
-                self._vent = vent_directly(self.bench, Station(self.bench.name), why or "the guard was lost")
+                lost = why or "the guard was lost"
+                self._vent = vent_directly(self.bench, Station(self.bench.name), lost, self._doubted, self.hurried)
             except Exception as error:  # the run is closed in any case
                 self._vent = Vent("failed", (f"{type(error).__name__}: {error}",))
         return self._vent

@@ -193,6 +193,8 @@ class SafeState:
         self._begin, self._rescue, self._look = begin, rescue, look
         self._sent: list[_Sent] = []
         self._begun = self._since = self._repeated = now
+        self._longest = inf
+        """Longest wait for confirmations [s], if the deadlines that the bench declares are not to be waited for."""
         self._ramp: _Sent | None = None
         self._doubts = self._emptier = 0
         """Consecutive missing answers of a ramp's device, and measurements of a muscle emptier than its ramp."""
@@ -205,7 +207,7 @@ class SafeState:
         self.away: set[str] = set()
         """Those of them whose device must be opened again."""
         self.refusing: set[str] = set()
-        """Targets whose device answers, and does not obey: it refused the command, is busy, or holds something else."""
+        """Targets whose device answers, and does not obey: it refused the command, holds something else or stays busy."""
         self.unmoved: set[str] = set()
         """Channels that have not fallen, or not come to rest, after all commands."""
         self.commands: list[SafeAction] = []
@@ -223,8 +225,12 @@ class SafeState:
         """Command that replaces a ramp which must not continue: stop for a motion, so that it is not sped up."""
         return replace(action, do="stop" if action.target in self._motions else "set")
 
-    def hurry(self) -> None:
-        """Skip all waits: send every remaining command now, then wait for confirmations only."""
+    def hurry(self, how: int) -> None:
+        """Skip all waits: send every remaining command now, then wait for confirmations only.
+
+        With `how` above 1 not for long either: the wait for them ends as soon as no late command can come any more.
+        """
+        self._longest = LINGERS if how > 1 else self._longest
         left = (action for action in self._todo if action.do not in {"hold", *LOOKS})
         self._todo = [self._at_once(action) if action.do == "ramp" else action for action in left]
 
@@ -253,6 +259,7 @@ class SafeState:
             self.outcome += (differs := [f"{call.result}; its values confirm nothing" for call in asked if call.result])
             low = bool(good) and all(good) and not differs
             self.outcome += [f"{name}: {LEFT}" for name in sorted(self.unsettled) if low]
+            self.outcome += [f"waited {now - self._since:.3g} s, ended on request"] * (not low and self._longest < inf)
             result = "failed" if self.faults and not low else "commanded"
             self.vent = Vent("confirmed" if low and not self.unsettled else result, tuple(self.outcome))
         return self.vent is not None
@@ -336,8 +343,7 @@ class SafeState:
     def _send(self, action: SafeAction, now: float) -> _Sent:
         sent = self._command(action, now)
         self._sent.append(sent)
-        if action.do in AT_ONCE:
-            self.commands.append(action)
+        self.commands += [action] * (action.do in AT_ONCE)
         return sent
 
     def _command(self, action: SafeAction, now: float) -> _Sent:
@@ -374,7 +380,7 @@ class SafeState:
                 self.unmoved.add(watched.action.target)
         since = [watched.since for watched in self._watched if watched.since is not None]
         whole = len(since) == len(self._watched) and not self.unsettled
-        until = self._since + max((action.within for action in actions), default=0.0)
+        until = self._since + min(self._longest, max((action.within for action in actions), default=0.0))
         over = now >= (max(until, max([late, *since]) + 2 * STAYS) if whole else until)
         if over or (whole and all(watched.lasts(now, late) for watched in self._watched)):
             return True
@@ -430,7 +436,8 @@ class SafeState:
         elif not again:
             self._again[self._at_once(sent.action) if sent.action.do == "ramp" else sent.action] = sent
             self.fault(f"{name}: failed ({wrong})")
-        refuses = bool(wrong and (sent.said() or isinstance(way.error, NotSent | Busy)))
+        busy = isinstance(way.error, Busy) and target in self.missing  # the second time: it stays busy
+        refuses = bool(wrong and (sent.said() or busy or isinstance(way.error, NotSent)))
         (self.refusing.add if refuses else self.refusing.discard)(target)
         if wrong and not refuses:
             self.missing.setdefault(target, now)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from math import inf
 from pathlib import Path
 
 import numpy as np
@@ -88,15 +89,19 @@ def calibrate(
     fits: list[Fit] = []
     warnings: list[str] = []
 
-    def procedure(executor: Executor) -> None:
+    def before_proof(executor: Executor) -> None:
         if request.nominal and channel is not None and not executor.bench.simulated:
             raise UsageError("--yes: on a real bench somebody has to read the reference")
+
+    def procedure(executor: Executor) -> None:
         executor.recorder.event("calibration", executor.clock.now(), **asdict(request))
         executor.acquisition.record(on=True)
         work = _Work(executor, mounted, request, read, channel, output)
         for number, (target, way, cycle) in enumerate(order(request.points, request.cycles)):
             steps = 2 * request.cycles * len(request.points)
-            executor.progress(Progress(number, steps, None, 0, executor.clock.now(), 0.0, f"{way} {number + 1}"))
+            now = executor.clock.now()
+            left = now * (steps - number) / number if number else inf
+            executor.progress(Progress(number, steps, None, 0, now, left, f"{way} {number + 1}"))
             point = work.point(target, way, cycle)
             points.append(point)
             executor.recorder.event("calibration-point", executor.clock.now(), **asdict(point))
@@ -108,15 +113,19 @@ def calibrate(
         found = fit(points, work.reference_uncertainty)
         if said := not_followed(found, points, quantity, raw_unit):
             raise VerdictFailed(said)
-        fits.append(found)
         for why in contradictions(found, channel) if channel is not None else ():
             warnings.append(why)
             about = {"limit": "calibration", "action": "warn", "value": found.expanded}
             executor.recorder.event("warning", executor.clock.now(), reason=why, **about)
+        off, where = farthest(found)
+        if abs(off) > NO_LINE * float(np.ptp([value for _, value in found.points])):
+            far = f"the point {show(where, quantity, 4)} lies {show(abs(off), quantity, 3)} off the line"
+            raise VerdictFailed(f"no calibration: {far}, more than {NO_LINE:.0%} of the span")
+        fits.append(found)
         executor.recorder.event("calibrated", executor.clock.now(), channel=request.channel, **asdict(found))
 
     points_of = {"points": list(request.points)}
-    more = {"out": out, "operator_name": operator_name, "progress": progress}
+    more = {"out": out, "operator_name": operator_name, "progress": progress, "before_proof": before_proof}
     name = f"calibration of {request.channel}"
     outcome = guided_run(mounted, operator, "calibration", name, procedure, points_of, **more)
     return Calibrated(outcome, fits[0] if fits else None, raw_unit, tuple(warnings))
@@ -138,6 +147,15 @@ BENT = 0.02
 """Distance of a point from the line, as a share of their span, from which on it is a mistake rather than a bend."""
 
 
+NO_LINE = 0.05
+"""The same, from which on there is no line: a cell that is clipped at a third of its loads gave one 20 % too steep."""
+
+
+def farthest(found: Fit) -> tuple[float, float]:
+    """Distance from the line of the point that is farthest from it, and its reference [SI]."""
+    return max(((found.scale.to_si(raw) - value, value) for raw, value in found.points), key=lambda p: abs(p[0]))
+
+
 def contradictions(found: Fit, channel: ChannelRecord) -> list[str]:
     """Sentences where the line is not that of the calibration in use, and where a point is far off the line."""
     quantity, said = channel.quantity, list[str]()
@@ -150,11 +168,11 @@ def contradictions(found: Fit, channel: ChannelRecord) -> list[str]:
             f"{show(at, quantity, 4)}, and both together allow {show(limit, quantity, 2)}: has the sensor changed, or "
             "is the reference not what was entered (a hanger, marks in another unit)? A point at 0 tells"
         )
-    off, where = max(((found.scale.to_si(raw) - value, value) for raw, value in found.points), key=lambda p: abs(p[0]))
+    off, where = farthest(found)
     if abs(off) > BENT * float(np.ptp([value for _, value in found.points])):
         said.append(
             f"the point {show(where, quantity, 4)} lies {show(abs(off), quantity, 3)} off the line: one reference was "
-            "not what it should have been, or the sensor bends; repeat this point"
+            "not what it should have been, or the sensor bends or is at the end of its range; repeat this point"
         )
     return said
 
@@ -168,11 +186,12 @@ def not_followed(found: Fit, points: Sequence[Point], quantity: str, raw_unit: s
     noise = max(point.noise for point in points)
     if found.expanded <= value / 2 and raw > noise:
         return ""
+    loads = "do loads pull at the cell or rest on their support (--hold lifts them)? " * (quantity == "force")
     return (
         f"no calibration: the reference changes by {show(value, quantity, 3)} and the reading by {raw:.3g} {raw_unit}, "
         f"with a noise of {noise:.3g} {raw_unit}; by this line a value would be known to +- "
-        f"{show(found.expanded, quantity, 3)}. The channel does not follow the reference: do loads pull at the cell or "
-        "rest on their support (--hold lifts them)? Is this the channel's plug, and is what it measures connected?"
+        f"{show(found.expanded, quantity, 3)}. The channel does not follow the reference: {loads}is this the channel's "
+        "plug, and is what it measures connected? Was the reference typed in its unit?"
     )
 
 

@@ -77,7 +77,8 @@ def test_the_watch_list_arrives_in_the_records(tmp_path):
         ("{following: force, more_than: 60 N, for: 1 s, action: hold}", 'nothing commands "force"'),
         ("{burst: pressure, falls: 1100 kPa, within: 50 ms, action: vent}", "never be seen"),
         ("{slack: force, below: -60 N, for: 50 ms, action: warn}", "never be seen"),
-        ("{stale: pressure, for: 1 h, action: vent}", "longer than 60 s"),
+        ("{stale: pressure, for: 1 h, action: vent}", "3600 s is outside 0 s to 60 s"),
+        ("{burst: pressure, falls: 100 kPa, within: 1 h, action: vent}", "3600 s is outside 0 s to 60 s"),
         ("{stal: pressure, for: 1 s, action: vent}", 'did you mean "stale"'),
     ],
 )
@@ -99,6 +100,9 @@ DUMP = "  - {open: dump_valve, within: 1 s}\n"
         (DUMP + END, "does not vent"),
         (DUMP + END + VENT, "looks before the vent"),
         ("  - {set: pressure, to: 1 kPa, within: 1 s}\n" + DUMP + END, "does not vent"),
+        ("  - {set: pressure, to: 0 kPa, within: 1 h}\n" + DUMP + END, "3600 s is outside 0 s to 60 s"),
+        (VENT + DUMP + END.replace("5 s", "1 h"), "3600 s is outside 0 s to 60 s"),
+        (VENT + DUMP + "  - {hold: 61 s}\n" + END, "61 s is outside 0 s to 60 s"),
         ("  - {hold: 11 s}\n" + VENT + DUMP + END, "waits 11 s before it vents"),
         ("  - {ramp_down: pressure, at: 100 kPa/s, within: 5 s}\n" + VENT + DUMP + END, "the ramp takes up to 6 s"),
         ("  - {ramp_down: pressure, at: -100 kPa/s, within: 5 s}\n" + VENT + DUMP + END, "a rate above zero"),
@@ -114,6 +118,31 @@ DUMP = "  - {open: dump_valve, within: 1 s}\n"
 )
 def test_a_safe_state_that_is_not_safe_is_refused(tmp_path, actions, says):
     assert says in str(refused(rig(tmp_path, "safe_state:\n" + actions)))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("watchdog: 1 s", "watchdog: 1 h", "3600 s is outside 0 s to 10 s"),
+        ("plates: [10 x 5 kg]", "g: 9.81 mm/s2", "0.00981 m/s² is outside 9.7 m/s² to 9.9 m/s²"),
+        ("plates: [10 x 5 kg]", "carriage: -2 kg", "not below zero"),
+        ("hanger: 1.1 kg", "hanger: -1.1 kg", "not below zero"),
+        ("catch_height: 50 mm", "catch_height: 50 m", "50000 mm is outside 0 mm to 1000 mm"),
+        ("catch_height: 50 mm", "catch_height: -50 mm", "is outside 0 mm to 1000 mm"),
+        ("trip_low: -30 kPa", "trip_low: 30 kPa", "the bench would trip where it rests"),
+        ("trip: 1900 N", "trip_low: 0 N", "the bench would trip where it rests"),
+        ("proof: {pressure: 50 kPa, below: 20 kPa", "proof: {pressure: 50 kPa, below: 49 kPa", "at most 0.8 of"),
+        ("below: 20 kPa, within: 2 s", "below: 20 kPa, within: 1 h", "3600 s is outside 0 s to 60 s"),
+        ("within: 2 s}\nsetup", "within: 2 s, fill: 1 h}\nsetup", "3600 s is outside 0 s to 60 s"),
+        ("hands:", "slack_below: 5000 N\nhands:", "5000 N is outside 0 N to 100 N"),
+        ("hands:", "slack_below: -1 N\nhands:", "-1 N is outside 0 N to 100 N"),
+    ],
+)
+def test_a_value_of_another_size_than_benches_have_is_refused_at_its_place(tmp_path, old, new, says):
+    path = rig(tmp_path, old=old, new=new)
+    (problem,) = refused(path).problems
+    assert says in problem.message
+    assert new.splitlines()[0] in path.read_text().splitlines()[problem.line - 1]
 
 
 DRIVEN = (

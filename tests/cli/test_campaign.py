@@ -101,6 +101,23 @@ def test_what_was_done_in_an_earlier_sitting_counts_and_is_processed(tmp_path):
     assert all(folder.name.rpartition("_")[2] in advised for folder in out.glob("2*"))
 
 
+def test_a_run_of_another_plan_is_not_dropped_without_a_word(tmp_path):
+    """A changed campaign file began the test anew, and nothing said that an interrupted run was left."""
+    out = tmp_path / "o"
+    assert run(campaign(tmp_path, ("mock", LIFTS), ("mock", LIFTS)), out).exit_code == 0
+    first, second = sorted(
+        out.glob("2*"), key=lambda folder: json.loads((folder / "manifest.json").read_text())["campaign"]["number"]
+    )
+    seal = second / "seal.json"
+    seal.write_bytes(sealed_json({**open_json(seal.read_bytes(), seal), "status": "interrupted"}))
+    other = campaign(tmp_path, ("mock", LIFTS), ("mock", LIFTS.replace("6 kg", "11 kg")))
+    again = CliRunner().invoke(main, ["campaign", str(other), "--yes", "--out", str(out), "--resume"])
+    assert again.exit_code == 0, again.output
+    assert f"finished already, in {first.name}" in again.output
+    assert f"{second.name} (interrupted) is of another plan" in again.output
+    assert "pmabench continue" in again.output
+
+
 @pytest.mark.parametrize("version", ["now", "older"])
 def test_a_bench_that_is_wired_wrongly_ends_it_and_what_is_left_is_done_later(tmp_path, version):
     """Under pressure the displacement falls: the next run would be pressurised on the same bench."""

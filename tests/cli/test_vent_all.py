@@ -1,12 +1,15 @@
 """`pmabench vent` without a bench: none waits for another, one with a guard goes first, and a failure hides none."""
 
+import os
 import threading
 
 import pytest
 
-from pmabench.base.errors import DeviceError
+from pmabench.base.errors import DeviceError, LimitRefused
+from pmabench.base.system import try_lock
 from pmabench.cli import vent
 from pmabench.cli.vent import Vented
+from pmabench.guard.station import Station, folder_name, root
 
 PATIENCE = 30.0
 
@@ -52,3 +55,68 @@ def test_what_fails_is_raised_after_all_others_were_vented(monkeypatch, capsys):
     with pytest.raises(DeviceError, match="cannot be loaded"):
         vent._all_at_once(None, [(Bench("a", guard=False), {}), (Bench("b", guard=False), {})], 0.0)
     assert "b: confirmed" in capsys.readouterr().out
+
+
+def saved(name, *ports):
+    return {"name": name, "devices": [{"address": f"127.0.0.1:{port}", "options": {}} for port in ports]}
+
+
+@pytest.fixture
+def in_use(monkeypatch, tmp_path):
+    """A bench "first rig" with a guard and two devices, which are locked; the test may end the locks."""
+    monkeypatch.setenv("PMABENCH_STATE", str(tmp_path))
+    first = Station("first rig")
+    first.folder.mkdir(parents=True)
+    first.write("guard", {"port": 1, "token": "ab" * 32})
+    first.write("bench", saved("first rig", 5020, 5021))
+    locks = []
+    for port in (5020, 5021):
+        path = root() / f"{folder_name(f'127.0.0.1:{port} unit 1')}.device"
+        path.write_text('the bench "first rig", process 7\n')
+        locks.append(try_lock(path))
+    yield locks
+    for lock in locks:
+        os.close(lock)
+
+
+@pytest.mark.parametrize(
+    ("ports", "answers", "asked", "way"),
+    [
+        ((5020,), True, ["first rig"], 'its guard (of "first rig", which has its devices)'),
+        ((5020,), False, ["first rig", "direct first rig"], 'opened (of "first rig", which has its devices)'),
+        ((5020, 5022), True, ["first rig", "direct second rig"], "opened"),
+        ((5022,), True, ["direct second rig"], "opened"),
+    ],
+)
+def test_the_guard_of_another_bench_that_has_the_devices_vents_them(monkeypatch, in_use, ports, answers, asked, way):
+    """Nobody else can reach them; what that bench has not is vented afterwards."""
+    reached = []
+
+    def by_guard(_ui, station, about, _began):
+        if not station.read("guard"):
+            return None
+        reached.append(about["name"])
+        return Vented(about["name"], "its guard", "confirmed", (), 0.0) if answers else None
+
+    def directly(_station, about, _began):
+        reached.append(f"direct {about['name']}")
+        return Vented(about["name"], "opened", "confirmed", (), 0.0)
+
+    monkeypatch.setattr(vent, "_by_guard", by_guard)
+    monkeypatch.setattr(vent, "_directly", directly)
+    vented = vent._vent(None, Station("second rig"), saved("second rig", *ports), 0.0)
+    assert reached == asked
+    assert (vented.bench, vented.way) == ("second rig", way)
+
+
+def test_a_bench_is_not_reset_while_a_program_has_its_device(monkeypatch, in_use):
+    monkeypatch.setattr(vent, "ENDS_WITHIN", 0.0)
+    second = Station("second rig")
+    second.folder.mkdir(parents=True)
+    second.note("tripped", why="burst")
+    with pytest.raises(LimitRefused, match='127.0.0.1:5021 unit 1 is in use by the bench "first rig", process 7'):
+        vent._reset(second, saved("second rig", 5021), "me", "looked")
+    assert second.latched().startswith("burst")
+    os.close(in_use.pop())
+    assert vent._reset(second, saved("second rig", 5021), "me", "looked").startswith("burst")
+    assert second.latched() == ""

@@ -102,6 +102,36 @@ def test_a_vent_succeeds_whatever_the_owner_does(owner, forks, lab, tmp_path, re
         assert "stopped" not in owner or owner == "engine stopped" or left["what"] == "tripped"
 
 
+def never_used(bench, plant, folder):
+    """Path of a bench file of another name with the same device."""
+    shutil.copytree(Path(bench.path).parent, folder / "benches")
+    path = folder / "benches" / "bench.yaml"
+    path.write_text(
+        "include: mock-realtime.yaml\nname: never used before\ndevices:\n"
+        f'  plant: {{driver: mock-realtime, address: "{plant.device.address}", watchdog: 1 s, '
+        f"options: {{start: false, idle: 60, log: {plant.log}}}}}\n"
+    )
+    return str(path)
+
+
+def test_another_bench_file_with_the_device_goes_to_the_guard_that_has_it(forks, lab, tmp_path):
+    bench, plant = lab
+    run = Run(forks, bench, plant, tmp_path / "run", "hold", thinks=True)
+    try:
+        run.in_step()
+        moment = time.monotonic()
+        done = vent(run.state, never_used(bench, plant, tmp_path), "--json")
+        assert_safe_since(plant, moment)
+        assert done.returncode == 0, done.stdout + done.stderr
+        (reported,) = json.loads(done.stdout)["benches"]
+        assert (reported["bench"], reported["result"]) == ("never used before", "confirmed")
+        assert reported["way"] == f'its guard (of "{bench.name}", which has its devices)'
+        assert run.end() == 130, run.lines()
+        assert "vent by" in run.said("why")
+    finally:
+        run.kill_rest()
+
+
 def test_nobody_at_the_bench(lab, tmp_path, forks):
     """After a clean run its saved bench is enough; before any run the bench file is."""
     bench, plant = lab
@@ -113,14 +143,8 @@ def test_nobody_at_the_bench(lab, tmp_path, forks):
     TIMES["nobody, from the saved bench"].append(assert_safe_since(plant, moment))
     assert done.returncode == 0, done
     assert run.bench_state["what"] == "safe", "a clean bench that was vented is not latched"
-    shutil.copytree(Path(bench.path).parent, tmp_path / "benches")
-    (tmp_path / "benches" / "bench.yaml").write_text(
-        "include: mock-realtime.yaml\nname: never used before\ndevices:\n"
-        f'  plant: {{driver: mock-realtime, address: "{plant.device.address}", watchdog: 1 s, '
-        f"options: {{start: false, idle: 60, log: {plant.log}}}}}\n"
-    )
     moment = time.monotonic()
-    done = vent(tmp_path / "other-state", str(tmp_path / "benches" / "bench.yaml"))
+    done = vent(tmp_path / "other-state", never_used(bench, plant, tmp_path))
     TIMES["nobody, from YAML"].append(assert_safe_since(plant, moment))
     assert done.returncode == 0, done
     assert "confirmed" in done.stdout

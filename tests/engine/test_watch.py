@@ -48,6 +48,8 @@ def commands(*steps):
     return made
 
 
+MOMENTS = (T < 1.0) | (np.arange(-500, len(T) - 500) % 30 >= 20)
+"""Inside up to 1 s; then outside for 20 samples, inside for 10, and so on."""
 NOISE = np.random.default_rng(5).normal(0.0, 50.0, len(T))
 CASES = {
     # name: limit, signal, commanded, moment of the trip [s]
@@ -67,6 +69,14 @@ CASES = {
     "far from what is commanded": (limit("following", high=60e3, delay=0.5), 1e5 + NOISE, commands((1.0, 3e5)), 1.5),
     "burst": (limit("burst", high=60e3, window=0.05), np.interp(T, [1.0, 1.1], [3e5, 0.0]), commands((0.0, 3e5)), 1.022),
     "slack": (limit("slack", low=10.0), step(1.0, after=5.0), None, 1.0),
+    # of each 60 ms 38 ms are outside and 20 ms inside after it: 4 * 18 ms, and 28 ms of the fifth
+    "slack, with moments without": (
+        limit("slack", low=10.0, delay=0.1), np.where(MOMENTS, 50.0, 5.0), None, 1.268,
+    ),
+    "off range, with moments inside": (
+        limit("off-range", delay=0.1), np.where(MOMENTS, 5e5, 0.0), None, 1.268,
+    ),
+    "neither follows nor falls at rest": (limit("following", high=60e3, delay=3.0), 1e5 + NOISE, commands((0.0, 1e5), (1.0, 0.0)), 1.5),
 }  # fmt: skip
 
 
@@ -134,6 +144,63 @@ QUIET = {
 def test_what_is_inside_does_not_trip(name, cuts):
     trip, samples, commanded = QUIET[name]
     assert look(trip, samples, cuts=cuts, commanded=commanded) == []
+
+
+def regulated(commands, lasts, tau, dead=0.0, aim=lambda asked: asked, block=1):
+    """Trips of `following: 60 kPa for 3 s` at a regulator of first order: lag `tau` and dead time [s].
+
+    It goes for `aim` of its command; the first one has long been reached. Blocks of samples at 100 Hz.
+    """
+    t = np.arange(round(lasts * 100)) / 100.0
+    times, values = np.array([at for at, _ in commands]), np.array([value for _, value in commands])
+    goals = aim(values[np.searchsorted(times, np.maximum(t - dead, 0.0) + 1e-9) - 1])
+    pressure, at = np.empty(len(t)), goals[0]
+    for index, goal in enumerate(goals):
+        pressure[index] = at = at + (goal - at) * -math.expm1(-0.01 / tau)
+    made, found = Commanded(), []
+    watch = Watch([limit("following", high=60e3, delay=3.0, action="stop")], [CHANNEL], made, 20e3)
+    todo = list(commands)
+    for first in range(0, len(t), block):
+        while todo and todo[0][0] <= t[first]:
+            made.set("pressure", *todo.pop(0))
+        found += watch.look(t[first : first + block], {"pressure": pressure[first : first + block]})
+        if found:
+            break
+    return [round(trip.t, 6) for trip in found]
+
+
+STAIRS = [(t + 6.0 * n, value) for n in range(10) for t, value in ((0.0, 3e5), (2.4, 2e5), (4.4, 1e5))]
+"""300 kPa for 2.4 s, then two lower pressures, again and again; none is rest."""
+
+
+def opposite(asked):
+    """A regulator that is wired the wrong way round: it agrees at 300 kPa."""
+    return 600e3 - asked
+
+
+@pytest.mark.parametrize("block", [1, 20])
+def test_a_regulator_that_does_the_opposite_is_found_although_it_agrees_in_between(block):
+    """Off for 3.6 s it is found as before. Off for 1.6 s, in agreement for 0.4 s, off for 1.6 s, in agreement for 2.4 s:
+
+    1.59 - 0.40 + 1.59 - 2.40 = 0.38 s are left of 6 s; 0.38 + 1.59 - 0.40 + 1.43 = 3 s at 10.4 + 1.43 s.
+    """
+    assert regulated(STAIRS, 60.0, 1e-3, 0.0, opposite, block) == [pytest.approx(5.4, abs=0.011)]
+    agrees = sorted([*STAIRS, *((t - 0.4, 3e5) for t, value in STAIRS if value == 1e5)])
+    assert regulated(agrees, 60.0, 1e-3, 0.0, opposite, block) == [pytest.approx(11.83, abs=0.011)]
+
+
+@pytest.mark.parametrize("block", [1, 20])
+@pytest.mark.parametrize(("tau", "dead"), [(0.02, 0.0), (0.3, 0.05), (0.3, 0.3), (0.8, 0.2), (1.2, 0.1)])
+def test_a_regulator_that_only_lags_is_left_alone(tau, dead, block):
+    stairs = [*STAIRS, *((60.0 + 6.0 * n + t, value) for n in range(5) for t, value in ((0.0, 6e5), (3.0, 0.0)))]
+    assert regulated(stairs, 90.0, tau, dead, block=block) == []
+
+
+@pytest.mark.parametrize("period", [1.0, 2.0, 5.0])
+def test_a_loop_that_commands_faster_than_the_regulator_follows_is_left_alone(period):
+    """A relay of +-100 kPa around 300 kPa, and a regulator that lags by 0.4 s: off most of the time, and sound."""
+    relay = [(n * period / 2, 4e5 - 2e5 * (n % 2)) for n in range(round(120 / period))]
+    assert regulated(relay, 60.0, 0.4, 0.05) == []
 
 
 @given(cuts=st.lists(st.integers(0, len(T)), max_size=12), period=st.floats(0.05, 1.0), high=st.floats(1e5, 6e5))
@@ -296,6 +363,19 @@ def test_a_pressure_above_its_command_is_not_held_for(what, cuts):
         ends = ends or [trip for trip in found if trip.limit.action == "vent"]
     assert [round(trip.t, 2) for trip in ends] == ([] if moment is None else [round(moment, 2)])
     assert all("more than 60 kPa above what is commanded and does not fall" in str(trip) for trip in ends)
+
+
+@pytest.mark.parametrize(
+    ("action", "found"), [("warn", ("warn", 4.0)), ("stop", ("vent", 1.5)), ("hold", ("vent", 1.5))]
+)
+def test_a_pressure_that_stays_where_a_vented_muscle_is_commanded_is_vented(action, found):
+    """One that only warns goes on to do so."""
+    t = np.arange(2500) / RATE
+    watch = Watch(
+        [limit("following", high=60e3, delay=3.0, action=action)], [CHANNEL], commands((0.0, 1e5), (1.0, 5e3)), 20e3
+    )
+    (trip,) = watch.look(t, {"pressure": np.full(len(t), 1e5)})
+    assert (trip.limit.action, round(trip.t, 2)) == found
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from dataclasses import replace
 
 import pytest
@@ -53,6 +54,14 @@ def test_a_bench_that_was_left_is_vented_and_latched(state, why):
     where = station(**state)
     assert vent_directly(BENCH, where, "test").confirmed
     assert where.latched().startswith(why)
+
+
+class Full(Rig):
+    """Its gauge reads 200 kPa, whatever is commanded."""
+
+    def __init__(self, device, clock):
+        super().__init__(device, clock)
+        self.reads["pressure"] = 200e3
 
 
 class Follows(Rig):
@@ -197,11 +206,30 @@ def test_the_engine_vents_itself_where_its_guard_is_gone():
     station(what="armed", run="r")
     with pytest.raises(DeviceError, match="is not there any more"):
         guard.set("pressure", 1e5)
-    vent = guard.safe_state(dict, why="lost")
+    vent = guard.safe_state(dict, why="guard: does not answer")
     assert vent.confirmed
     assert guard.safe_state(dict) is vent
-    assert Station("rig").latched().startswith(UNCLEAN)
+    assert Station("rig").latched().startswith(f"{UNCLEAN} (guard: does not answer)")
     guard.close()
+
+
+def test_the_engine_passes_on_which_gauge_it_doubted(monkeypatch):
+    """A gauge that reads 0 and stood still while the muscle was filled confirms nothing after the guard's death either."""
+    station(what="armed", run="r")
+    guard = RemoteGuard(BENCH, RealClock())
+    guard.begin_safe(tripped=True, why="following", doubted="pressure")
+    guard.begin_safe(tripped=True, why="following")
+    assert guard.safe_state(dict, why="following").result == "commanded"
+
+
+def test_a_second_signal_ends_the_wait_without_a_guard_too():
+    patient = (*BENCH.safe_state[:-1], replace(BENCH.safe_state[-1], within=60.0))
+    station(what="armed", run="r")
+    guard = RemoteGuard(bench(replace(DEVICE, driver=f"{__name__}:Full"), safe_state=patient), RealClock())
+    guard.hurried = lambda: 2
+    began = time.monotonic()
+    assert guard.safe_state(dict, why="lost").result == "commanded"
+    assert time.monotonic() - began < 30.0
 
 
 def test_whatever_goes_wrong_then_is_the_outcome_of_the_vent(monkeypatch):

@@ -8,7 +8,7 @@ from math import inf
 import pytest
 
 from pmabench.base.clock import RealClock, VirtualClock
-from pmabench.base.errors import DeviceError, LimitRefused, NotSent
+from pmabench.base.errors import Busy, DeviceError, LimitRefused, NotSent
 from pmabench.bench.interface import ChannelRecord, DeviceRecord, SafeAction, Scale, TripRecord, ValveRecord
 from pmabench.guard import course
 from pmabench.guard.guard import Guard, State
@@ -133,6 +133,36 @@ def test_hurry_leaves_out_waits_and_nothing_else():
     guard.step_safe({})
     commands = rig.values("write", "halt", "switch")
     assert commands == [("write", "p", 0.0), ("halt", "x"), ("write", "p", 0.0), ("switch", "v", False)]
+    assert advance(guard, 0.1, LOW) is None
+    assert advance(guard, STAYS, LOW).confirmed
+
+
+PATIENT = (*SAFE[:-1], replace(SAFE[-1], within=60.0))
+
+
+def test_a_second_signal_ends_the_wait_for_confirmations_and_a_first_one_does_not():
+    guard, _ = armed(bench(safe_state=PATIENT))
+    guard.set("pressure", 200e3)
+    guard.begin_safe()
+    guard.step_safe({})
+    assert advance(guard, 15.0, HIGH) is None
+    guard.begin_safe(hurry=1)
+    assert advance(guard, 15.0, HIGH) is None
+    guard.begin_safe(hurry=2)
+    vent = advance(guard, 0.1, HIGH)
+    assert vent.result == "commanded"
+    assert vent.actions[-2:] == (
+        "confirm pressure: 300 kPa, not below 20 kPa within 60 s",
+        "waited 30.1 s, ended on request",
+    )
+
+
+def test_whoever_hurries_before_a_late_command_can_come_still_learns_that_the_bench_is_safe():
+    guard, _ = armed(bench(safe_state=PATIENT))
+    guard.set("pressure", 200e3)
+    guard.begin_safe(hurry=2)
+    guard.step_safe({})
+    assert advance(guard, LINGERS - 0.1, HIGH) is None
     assert advance(guard, 0.1, LOW) is None
     assert advance(guard, STAYS, LOW).confirmed
 
@@ -659,6 +689,27 @@ def test_a_command_that_is_refused_in_an_answer_closes_the_line_and_one_without_
     for leaking in (2.9e5, 2.8e5, 2.7e5):  # that is no effect
         advance(guard, 0.1, {"pressure": leaking})
     assert rig.values("close")
+
+
+@pytest.mark.parametrize(("lasts", "result"), [(1, "confirmed"), (2, "commanded")])
+def test_a_device_that_is_busy_is_asked_a_second_time_before_its_line_is_closed(lasts, result):
+    """Busy for 0.3 s it was left to its watchdog, 0.75 s with a muscle that is full."""
+    guard, rig = armed(bench(replace(DEVICE, outputs=(OUTPUT,)), safe_state=SAFE[1:]))
+    guard.set("pressure", 300e3)
+    rig.wrong |= dict.fromkeys(("write", "rescue"), Busy("dac", "exception 6"))
+    guard.begin_safe()
+    advance(guard, 0.01, HIGH)
+    assert not rig.values("close")
+    if lasts == 1:
+        rig.wrong.clear()
+    advance(guard, 0.11, HIGH)
+    advance(guard, 0.01, HIGH)
+    assert bool(rig.values("close")) == (lasts == 2)
+    vent = None
+    while vent is None:
+        vent = advance(guard, 0.1, LOW)
+    assert vent.result == result
+    assert guard.state is State.TRIPPED
 
 
 def test_a_device_that_cannot_be_opened_again_is_tried_again():

@@ -97,6 +97,14 @@ def test_relaxation_goes_down_in_steps_and_is_tagged():
     ]  # fmt: skip
 
 
+def test_a_relaxation_does_not_go_up():
+    relaxed = ("sweep.matrix.load", "[6 kg]"), ("sweep.matrix.pressure", "[300 kPa, 450 kPa]")
+    with pytest.raises(InvalidFile, match="400 kPa is above the pressure of a trial, 300 kPa") as refused:
+        plan("contraction-relaxation", *relaxed, ("trial.relax.then", "400 kPa"))
+    assert len(refused.value.problems) == 1
+    assert plan("contraction-relaxation", *relaxed, ("trial.relax.then", "300 kPa")).trials
+
+
 def test_the_reference_trial_comes_first_last_and_between():
     extra = ("reference_trial", "{load: 6 kg, pressure: 300 kPa, every: 3}")
     compiled = plan("contraction-relaxation", extra, ("sweep.matrix.load", "[6 kg]"), ("sweep.repeat.count", "1"))

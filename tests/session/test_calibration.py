@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from datetime import date
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from pmabench.base.errors import InvalidFile, RecordError, UsageError, VerdictFa
 from pmabench.bench.channels import read_calibration
 from pmabench.bench.interface import Scale
 from pmabench.engine.operator import ConfirmedBeforehand, Nobody
+from pmabench.session import calibration
 from pmabench.session.calibration import Request, calibrate, not_followed, not_shown, uncovered
 from pmabench.session.calibration_line import DOWN, UP, Point, fit, write_calibration
 from pmabench.store.reader import open_run
@@ -122,22 +124,42 @@ def test_two_points_do_not_say_that_a_sensor_is_straight(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("reads", "said"),
+    ("reads", "said", "lost"),
     [
-        (lambda nominal: nominal, []),
-        (lambda nominal: nominal and nominal + 10.8, ["by the calibration in use", "off the line"]),
-        (lambda nominal: nominal * 1.06, ["by the calibration in use"]),
-        (lambda nominal: nominal + 49.05 * (nominal == FORCE[3]), ["by the calibration in use", "off the line"]),
+        (lambda nominal: nominal, [], False),
+        (lambda nominal: nominal and nominal + 10.8, ["by the calibration in use", "off the line"], False),
+        (lambda nominal: nominal * 1.06, ["by the calibration in use"], False),
+        (lambda nominal: nominal + 49.05 * (nominal == FORCE[3]), ["by the calibration in use", "off the line"], True),
     ],
     ids=["right", "a hanger that was forgotten", "marks in another unit", "a plate too many at one point"],
 )
-def test_a_reference_that_is_not_what_was_entered_is_said(reads, said):
+def test_a_reference_that_is_not_what_was_entered_is_said(reads, said, lost):
     """The new line was compared with nothing: 10.8 N off within 0.107 N."""
     request = replace(CASES["force"][1], points=FORCE)
     made = mounted("mock", seed=1)
     done = calibrate(made, request, ConfirmedBeforehand(), lambda _text, nominal, _wait: reads(nominal), None)
     assert len(done.warnings) == len(said)
     assert all(words in text for words, text in zip(said, done.warnings, strict=True))
+    assert (done.fit is None) == lost
+    assert ("no calibration: the point 206 N lies" in done.outcome.why) == lost
+
+
+def test_yes_is_refused_on_a_real_bench_before_anything_is_filled(monkeypatch):
+    """It was refused after the proof test of the vent path."""
+    hooks = {}
+    monkeypatch.setattr(calibration, "guided_run", lambda *_, **more: hooks.update(more))
+    calibrate(mounted("mock"), replace(CASES["pressure"][1], nominal=True), ConfirmedBeforehand(), truth, None)
+    hooks["before_proof"](SimpleNamespace(bench=SimpleNamespace(simulated=True)))
+    with pytest.raises(UsageError, match="somebody has to read the reference"):
+        hooks["before_proof"](SimpleNamespace(bench=SimpleNamespace(simulated=False)))
+
+
+def test_progress_is_the_share_of_points_that_are_read():
+    seen = []
+    request = replace(CASES["force"][1], points=FORCE)
+    calibrate(mounted("mock"), request, ConfirmedBeforehand(), truth, None, progress=seen.append)
+    shares = [one.t / (one.t + one.longest) for one in seen]
+    assert shares == pytest.approx([number / 20 for number in range(20)])
 
 
 @pytest.mark.parametrize("error", ["of each weight", "of one share"])
@@ -185,6 +207,10 @@ def test_a_cell_that_sees_no_load_is_no_calibration(tmp_path):
     assert (done.outcome.exit_code, done.fit) == (6, None)
     assert "no calibration: the reference changes by 496" in done.outcome.why
     assert "rest on their support (--hold lifts them)" in done.outcome.why
+    pressure = [replace(p, noise=10.0) for p in sensor((0.0, 400e5), 2, 0.0, 0, lambda v: 0.01 * v - v)]
+    said = not_followed(replace(fit(pressure, 0.1), expanded=3e7), pressure, "pressure", "count")
+    assert "loads" not in said
+    assert "typed in its unit" in said
     by_chance = [replace(p, noise=10.0) for p in sensor((0.0, 496.0), 2, 0.0, 0, lambda v: 0.14 * v / 496 - v)]
     assert "does not follow" in not_followed(fit(by_chance, 0.1), by_chance, "force", "count")
     good = [replace(p, noise=10.0) for p in sensor((0.0, 496.0), 2, 0.1, 0)]

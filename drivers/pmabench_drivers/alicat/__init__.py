@@ -36,6 +36,8 @@ BAUDS = (19200, 38400, 57600, 115200)
 """Supported baud rates; slower lines cannot list the columns within the time limit of opening."""
 INPUTS = ("pressure", "set_point")
 OUTPUT = "pressure"
+OTHER_SET_POINT = "is its set-point source the serial line, or does it limit set-points?"
+"""What to look at where it answered, and holds another set-point."""
 UNITS = {
     "Pa": (2, 1.0),
     "hPa": (3, 1e2),

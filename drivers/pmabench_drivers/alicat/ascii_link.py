@@ -27,9 +27,9 @@ from time import monotonic
 from typing import Any
 
 from pmabench.base.clock import Clock
-from pmabench.base.errors import DeviceError
+from pmabench.base.errors import DeviceError, NotSent
 from pmabench.bench.interface import COMPUTER, Identity
-from pmabench_drivers.alicat import HELD, OUTPUT, UNITS, Options, Reading
+from pmabench_drivers.alicat import HELD, OTHER_SET_POINT, OUTPUT, UNITS, Options, Reading
 from pmabench_drivers.shared import serial_port as sp
 from pmabench_drivers.shared.link import Still, Unanswered, always, opened, reason, turn, who
 
@@ -243,13 +243,16 @@ class AsciiLink:
             if not still():
                 return None
             self._vented = False
-            why = "is its set-point source the serial line?"
+            within, why = tolerance + 10.0**-self._shape.decimals, OTHER_SET_POINT
+            kind: type[DeviceError] = NotSent
             try:
                 reading = self._reading(text, deadline)
+                if not abs(reading.set_point - value) <= within:  # an answer to something before would look like this
+                    reading = self._reading("", deadline)
             except Unanswered as lost:
-                reading, why = self._found(lost, value, deadline), lost.message
-        if not abs(reading.set_point - value) <= tolerance + 10.0**-self._shape.decimals:
-            raise DeviceError(self._device, f"was commanded {value:g} and holds {reading.set_point:g}: {why}", OUTPUT)
+                reading, why, kind = self._found(lost, value, deadline), lost.message, DeviceError
+        if not abs(reading.set_point - value) <= within:
+            raise kind(self._device, f"was commanded {value:g} and holds {reading.set_point:g}: {why}", OUTPUT)
         return reading
 
     def vent(self, value: float, deadline: float, tolerance: float, still: Still = always) -> Reading | None:

@@ -13,9 +13,9 @@ from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING
 
 from pmabench.base.clock import Clock
-from pmabench.base.errors import DeviceError
+from pmabench.base.errors import DeviceError, NotSent
 from pmabench.bench.interface import COMPUTER, EMULATED, Identity
-from pmabench_drivers.alicat import OUTPUT, Options, Reading, from_bits
+from pmabench_drivers.alicat import OTHER_SET_POINT, OUTPUT, Options, Reading, from_bits
 from pmabench_drivers.modbus.registers import Register, decode, decode_text, encode
 from pmabench_drivers.shared.link import Still, Unanswered, always, opened, turn
 
@@ -183,8 +183,8 @@ class ModbusLink:
             message = f"{first}whether it took {value:g} is not known ({error.message})"
             raise DeviceError(self._device, message, OUTPUT) from None
         if not abs(held - value) <= tolerance + FLOAT32 * abs(value):
-            source = f" ({lost.message})" if lost else ": is its set-point source the serial line?"
-            raise DeviceError(self._device, f"was commanded {value:g} and holds {held:g}{source}", OUTPUT)
+            kind, why = (DeviceError, lost.message) if lost else (NotSent, OTHER_SET_POINT)
+            raise kind(self._device, f"was commanded {value:g} and holds {held:g}: {why}", OUTPUT)
 
     def _refuse_other_result(self, setting: int, deadline: float) -> None:
         """Check the result of the last command; read with function 4, so that no other answer looks like this one."""

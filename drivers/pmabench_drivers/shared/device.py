@@ -15,7 +15,7 @@ from functools import partial
 from typing import Any
 
 from pmabench.base.clock import Clock
-from pmabench.base.errors import DeviceError, did_you_mean
+from pmabench.base.errors import DeviceError, NotSent, did_you_mean
 from pmabench.bench.interface import Block, DeviceRecord, OutputRecord, Segment
 from pmabench_drivers.shared.link import Cycle, Samples, Still
 from pmabench_drivers.shared.options import Place, Reader, options_of
@@ -223,7 +223,7 @@ class Stepped(Driver):
             try:
                 self._send_step(output, value, still, last=last)
             except DeviceError as error:
-                self.unanswered = self._clock.now()
+                self.unanswered = self.unanswered if isinstance(error, NotSent) else self._clock.now()
                 failure = failure or (error if still() else None)
             else:
                 if last and still():

@@ -26,6 +26,10 @@ WATCH_KEYS = {
 }
 """Kind of watch -> its keys."""
 WATCH_OPTIONAL = {("rate", "for"), ("off_range", "for"), ("slack", "for")}
+UpToAMinute = Annotated[q.Time, s.within(0.0, 60.0, "time")]
+"""A wait of the watch list, the safe state or the proof of the vent path; the muscle may be full meanwhile."""
+Deadline = Annotated[s.TimeAbove0, s.within(0.0, 60.0, "time")]
+"""The same, above zero."""
 ALIASES = {"for_": "for"}
 """Field of a model -> its key in the file."""
 
@@ -84,8 +88,8 @@ class WatchFile(Strict):
     more_than: s.Reading | None = None
     falls: s.Reading | None = None
     below: s.Reading | None = None
-    within: s.TimeAbove0 | None = None
-    for_: Annotated[q.Time | None, Field(alias="for")] = None
+    within: Deadline | None = None
+    for_: Annotated[UpToAMinute | None, Field(alias="for")] = None
     action: Action
 
     @property
@@ -110,14 +114,14 @@ class SafeActionFile(Strict):
     set: s.Name | None = None
     ramp_down: s.Name | None = None
     drive_quick_stop: s.Name | None = None
-    hold: q.Time | None = None
+    hold: UpToAMinute | None = None
     open: s.Name | None = None
     close: s.Name | None = None
     confirm: s.Name | None = None
     to: s.Reading | None = None
     at: s.Reading | None = None
     below: s.Reading | None = None
-    within: s.TimeAbove0 | None = None
+    within: Deadline | None = None
     """Deadline, after which the next action starts in any case."""
 
     @property
@@ -152,19 +156,23 @@ class StopFile(Strict):
     ramp: s.RateAbove0
 
 
+PROVEN = 0.8
+"""Largest fraction of the filled pressure to which a vent path that is proven may leave it [1]."""
+
+
 class ProofFile(Strict):
     """The vent path tried before each use: filled to `pressure`, it must be `below` after `within`."""
 
     pressure: s.PressureAbove0
     below: s.PressureAbove0
-    within: s.TimeAbove0
-    fill: s.TimeAbove0 = 5.0
+    within: Deadline
+    fill: Deadline = 5.0
     """Longest time for filling."""
 
     @model_validator(mode="after")
     def _in_order(self) -> ProofFile:
-        if self.below >= self.pressure:
-            raise ValueError('"below" must lie under "pressure", else nothing is proven')
+        if self.below > PROVEN * self.pressure:
+            raise ValueError(f'"below" must be at most {PROVEN:g} of "pressure": a small leak proves no vent path')
         return self
 
 
@@ -262,16 +270,16 @@ class SessionFile(Strict):
 class Weights(Strict):
     """A stack of weights on the free end."""
 
-    hanger: q.Mass
+    hanger: s.MassNotBelow0
     plates: list[q.Plates] = []
-    g: q.Acceleration = 9.81
-    carriage: q.Mass = 0.0
+    g: Annotated[q.Acceleration, s.within(9.7, 9.9, "acceleration")] = 9.81
+    carriage: s.MassNotBelow0 = 0.0
     """Mass that moves with the stack: table, cable, rod."""
     act_as: Literal["mass", "force"] = "mass"
     """`mass`: the stack moves with the muscle; `force`: a constant-force device without inertia."""
     pulley: bool = False
     support: q.Length = 0.0
-    catch_height: q.Length | None = None
+    catch_height: Annotated[q.Length, s.within(0.0, 1.0, "length")] | None = None
     load_tolerance: s.RatioAbove0 = 0.1
     """Allowed deviation of the force of a load at rest from its weight, in addition to the cell's uncertainty."""
     load_action: Literal["warn", "stop"] = "warn"
@@ -376,8 +384,8 @@ class DeviceFile(Strict):
     driver: str
     address: str = ""
     options: dict[str, Any] = {}
-    watchdog: s.TimeAbove0 | None = None
-    """Time without communication after which the device vents by itself."""
+    watchdog: Annotated[s.TimeAbove0, s.within(0.0, 10.0, "time")] | None = None
+    """Time without communication after which the device vents by itself; the muscle is full until then."""
     verified: VerifiedFile | None = None
     """Confirms that this driver was tried on this device itself, not only on an emulator."""
 
@@ -462,7 +470,7 @@ class BenchFile(Strict):
     """Highest pressure that may be commanded before the bench is proven."""
     no_watchdog: NoWatchdogFile | None = None
     hands: HandsFile
-    slack_below: q.Force = 0.0
+    slack_below: Annotated[q.Force, s.within(0.0, 100.0, "force")] = 0.0
     session: SessionFile | None = None
     reviewed: ReviewFile | None = None
     to_confirm: list[s.Place] | None = None

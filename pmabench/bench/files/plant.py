@@ -5,26 +5,14 @@ from __future__ import annotations
 from math import acos, sqrt
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
+from pydantic import Discriminator, Field, Tag, model_validator
 
-from pmabench.base.quantities import show
-from pmabench.bench.files.specimen import Reading, Text
+from pmabench.bench.files.specimen import Reading, Text, within
 from pmabench.files import quantity as q
 from pmabench.files.document import Strict
 
 NEUTRAL = acos(1 / sqrt(3)) - 1e-3
 """Braid angle from which a muscle no longer contracts [rad]."""
-
-
-def _within(low: float, high: float, quantity: str) -> AfterValidator:
-    """Validator that refuses values outside the plausible range, with a message in display units."""
-
-    def check(value: float) -> float:
-        if not low <= value <= high:
-            raise ValueError(f"{show(value, quantity)} is outside {show(low, quantity)} to {show(high, quantity)}")
-        return value
-
-    return AfterValidator(check)
 
 
 Coefficients = Annotated[list[float], Field(min_length=1, max_length=10)]
@@ -82,9 +70,9 @@ Coefficient = Annotated[
 class FrictionFile(Strict):
     """Coulomb friction inside the muscle: F_s at rest, falling on a straight line to F_c at `speed`."""
 
-    F_s: Annotated[q.Force, _within(0, 1e4, "force")]
-    F_c: Annotated[q.Force, _within(0, 1e4, "force")]
-    speed: Annotated[q.Speed, _within(1e-5, 1.0, "speed")] = 1e-3
+    F_s: Annotated[q.Force, within(0, 1e4, "force")]
+    F_c: Annotated[q.Force, within(0, 1e4, "force")]
+    speed: Annotated[q.Speed, within(1e-5, 1.0, "speed")] = 1e-3
 
     @model_validator(mode="after")
     def _in_order(self) -> FrictionFile:
@@ -96,16 +84,16 @@ class FrictionFile(Strict):
 class RegulatorFile(Strict):
     """How the pressure follows its command."""
 
-    dead_time: Annotated[q.Time, _within(0, 10, "time")] = 0.0
-    lag: Annotated[q.Time, _within(0, 60, "time")] = 0.0
+    dead_time: Annotated[q.Time, within(0, 10, "time")] = 0.0
+    lag: Annotated[q.Time, within(0, 60, "time")] = 0.0
     """First-order lag while filling."""
     vent_ratio: Annotated[float, Field(ge=0.01, le=100)] = 1.0
     """Lag while venting over lag while filling."""
-    dead_band: Annotated[q.Pressure, _within(0, 1e6, "pressure")] = 0.0
+    dead_band: Annotated[q.Pressure, within(0, 1e6, "pressure")] = 0.0
     """Pressure error below which the regulator does nothing."""
-    leak: Annotated[q.Rate, _within(0, 10, "rate")] = 0.0
+    leak: Annotated[q.Rate, within(0, 10, "rate")] = 0.0
     """Fraction of the pressure lost per second, for instance `2 %/s`."""
-    natural_frequency: Annotated[q.Frequency, _within(0, 1e3, "frequency")] = 0.0
+    natural_frequency: Annotated[q.Frequency, within(0, 1e3, "frequency")] = 0.0
     """Natural frequency of a second-order response, in place of `lag`."""
     damping_ratio: Annotated[float, Field(ge=0.05, le=20)] = 1.0
     """Damping ratio of a second-order response; 1 is critical, lower values overshoot."""
@@ -124,21 +112,21 @@ class RegulatorFile(Strict):
 class NoiseFile(Strict):
     """Standard deviation of the noise of each sensor."""
 
-    pressure: Annotated[q.Pressure, _within(0, 1e5, "pressure")] = 0.0
-    displacement: Annotated[q.Length, _within(0, 0.01, "length")] = 0.0
-    force: Annotated[q.Force, _within(0, 1e3, "force")] = 0.0
+    pressure: Annotated[q.Pressure, within(0, 1e5, "pressure")] = 0.0
+    displacement: Annotated[q.Length, within(0, 0.01, "length")] = 0.0
+    force: Annotated[q.Force, within(0, 1e3, "force")] = 0.0
 
 
 class FlowFile(Strict):
     """A regulator that has to move air in and out, so that the pressure depends on the motion."""
 
-    fill: Annotated[q.Conductance, _within(0, 1e-5, "conductance")]
+    fill: Annotated[q.Conductance, within(0, 1e-5, "conductance")]
     """Mass flow per difference between the regulator's and the muscle's pressure."""
-    vent: Annotated[q.Conductance, _within(0, 1e-5, "conductance")]
+    vent: Annotated[q.Conductance, within(0, 1e-5, "conductance")]
     polytropic: Annotated[float, Field(ge=1, le=1.4)] = 1.2
     """Polytropic exponent; 1: isothermal, 1.4: adiabatic."""
-    temperature: Annotated[q.Temperature, _within(230, 370, "temperature")] = 293.0
-    atmosphere: Annotated[q.Pressure, _within(5e4, 1.1e5, "pressure")] = 101325.0
+    temperature: Annotated[q.Temperature, within(230, 370, "temperature")] = 293.0
+    atmosphere: Annotated[q.Pressure, within(5e4, 1.1e5, "pressure")] = 101325.0
 
     @model_validator(mode="after")
     def _flows(self) -> FlowFile:
@@ -150,8 +138,8 @@ class FlowFile(Strict):
 class HysteresisFile(Strict):
     """A hysteresis loop, the same at all rates: half its gap, and the contraction in which a turn fades to 1/e."""
 
-    height: Annotated[q.Force, _within(0, 1e4, "force")]
-    width: Annotated[q.Ratio, _within(1e-5, 0.5, "ratio")]
+    height: Annotated[q.Force, within(0, 1e4, "force")]
+    width: Annotated[q.Ratio, within(1e-5, 0.5, "ratio")]
 
 
 class PlantFile(Strict):
@@ -161,13 +149,13 @@ class PlantFile(Strict):
     name: Annotated[str, Field(min_length=1, max_length=80)]
     source: Text
     """Where the numbers come from."""
-    length: Annotated[q.Length, _within(1e-3, 10, "length")]
+    length: Annotated[q.Length, within(1e-3, 10, "length")]
     """Nominal length, without pressure."""
-    highest_pressure: Annotated[q.Pressure, _within(1e3, 2e6, "pressure")]
+    highest_pressure: Annotated[q.Pressure, within(1e3, 2e6, "pressure")]
     """Range of the law; the simulated regulator goes no higher."""
     regulator: RegulatorFile = RegulatorFile()
     noise: NoiseFile = NoiseFile()
-    follow_lag: Annotated[q.Time, _within(0, 10, "time")] = 0.0
+    follow_lag: Annotated[q.Time, within(0, 10, "time")] = 0.0
     """First-order lag of an actuator that drives the free end behind its command."""
 
 
@@ -175,7 +163,7 @@ class ThreeElementFile(PlantFile):
     """A muscle F = F_ce(P) - K(P) x - B(P) x' - friction, x the contraction."""
 
     law: Literal["three-element"]
-    stop: Annotated[q.Length, _within(1e-4, 10, "length")]
+    stop: Annotated[q.Length, within(1e-4, 10, "length")]
     """Largest possible contraction, at its stop."""
     F_ce: Coefficient
     K: Coefficient
@@ -186,9 +174,9 @@ class ThreeElementFile(PlantFile):
     tau_r: Coefficient | None = None
     """With a free end it relaxes with this time constant of the pressure before the release, not `B_r` (paper 1)."""
     friction: FrictionFile | None = None
-    diameter: Annotated[q.Length, _within(1e-4, 1, "length")] | None = None
+    diameter: Annotated[q.Length, within(1e-4, 1, "length")] | None = None
     """Free diameter of the braid."""
-    braid_angle: Annotated[q.Angle, _within(0.01, NEUTRAL, "angle")] | None = None
+    braid_angle: Annotated[q.Angle, within(0.01, NEUTRAL, "angle")] | None = None
     """Angle between braid and muscle axis without contraction."""
     flow: FlowFile | None = None
     """If given, the pressure depends on the motion; needs `diameter` and `braid_angle`."""
@@ -206,19 +194,19 @@ class DaerdenFile(PlantFile):
     """A muscle F = S(eps) P + A eps (eps - B1) / (eps + B2) for a driven end, eps = x / length (paper 3)."""
 
     law: Literal["daerden"]
-    diameter: Annotated[q.Length, _within(1e-4, 1, "length")]
+    diameter: Annotated[q.Length, within(1e-4, 1, "length")]
     """Free diameter."""
-    braid_angle: Annotated[q.Angle, _within(0.01, NEUTRAL, "angle")]
+    braid_angle: Annotated[q.Angle, within(0.01, NEUTRAL, "angle")]
     """Angle between braid and muscle axis at eps = 0."""
     alpha: Annotated[float, Field(ge=1, le=5)] = 2.0
     """Exponent; 2 is that of Tondu and Lopez."""
-    A: Annotated[q.Force, _within(0, 1e6, "force")]
+    A: Annotated[q.Force, within(0, 1e6, "force")]
     """Size of the rubber term."""
-    B1: Annotated[q.Ratio, _within(0, 1, "ratio")]
+    B1: Annotated[q.Ratio, within(0, 1, "ratio")]
     """Contraction at which the rubber term is 0 again."""
-    B2: Annotated[q.Ratio, _within(1e-3, 1, "ratio")]
+    B2: Annotated[q.Ratio, within(1e-3, 1, "ratio")]
     """The rubber term has its pole at eps = -B2."""
-    reach: tuple[Annotated[q.Ratio, _within(-0.5, 0, "ratio")], Annotated[q.Ratio, _within(0.001, 0.5, "ratio")]]
+    reach: tuple[Annotated[q.Ratio, within(-0.5, 0, "ratio")], Annotated[q.Ratio, within(0.001, 0.5, "ratio")]]
     """Lowest and highest contraction that may be driven, as fractions of the length; stretched if negative."""
     hysteresis: HysteresisFile | None = None
     flow: FlowFile | None = None
@@ -229,13 +217,13 @@ class ContractorFile(PlantFile):
     """A home-made contractor of paper 2: its force at a driven end, its length without load at a free one."""
 
     law: Literal["contractor"]
-    radius: Annotated[q.Length, _within(1e-4, 0.5, "length")]
+    radius: Annotated[q.Length, within(1e-4, 0.5, "length")]
     """Radius at eps = 0."""
-    braid_angle: Annotated[q.Angle, _within(0.01, NEUTRAL, "angle")]
+    braid_angle: Annotated[q.Angle, within(0.01, NEUTRAL, "angle")]
     """Angle between braid and muscle axis at eps = 0."""
-    threshold: Annotated[q.Pressure, _within(0, 2e5, "pressure")] = 45e3
+    threshold: Annotated[q.Pressure, within(0, 2e5, "pressure")] = 45e3
     """Pressure below which there is no force."""
-    reach: tuple[Annotated[q.Ratio, _within(0, 0.3, "ratio")], Annotated[q.Ratio, _within(0.001, 0.5, "ratio")]]
+    reach: tuple[Annotated[q.Ratio, within(0, 0.3, "ratio")], Annotated[q.Ratio, within(0.001, 0.5, "ratio")]]
     """Lowest and highest contraction that may be driven, as fractions of the length."""
 
 
@@ -262,21 +250,21 @@ class SurfaceFile(Strict):
     E: q.Force
     bend: Annotated[float, Field(ge=0, le=2)] = 1.0
     """1 as written; 0 replaces exp(-s eps) by a straight line over eps."""
-    span: Annotated[q.Ratio, _within(0.001, 0.5, "ratio")] = 0.16
+    span: Annotated[q.Ratio, within(0.001, 0.5, "ratio")] = 0.16
     """Contraction at which that line meets the exponential again."""
 
 
 class StopsOverLengthFile(Strict):
     """Hysteresis over contraction, at most `height` + `per_pressure` P to each side."""
 
-    height: Annotated[q.Force, _within(0, 1e4, "force")]
+    height: Annotated[q.Force, within(0, 1e4, "force")]
     per_pressure: q.ForcePerPressure = 0.0
-    widths: Annotated[list[Annotated[q.Length, _within(1e-7, 1, "length")]], Field(min_length=1, max_length=20)]
+    widths: Annotated[list[Annotated[q.Length, within(1e-7, 1, "length")]], Field(min_length=1, max_length=20)]
     """Half of the contraction after a reversal at which each stop operator slides again."""
     weights: Weights
-    first_cycle: Annotated[q.Ratio, _within(0, 10, "ratio")] = 0.0
+    first_cycle: Annotated[q.Ratio, within(0, 10, "ratio")] = 0.0
     """Fraction by which the hysteresis is higher after a rest."""
-    way: Annotated[q.Length, _within(1e-4, 10, "length")] = 0.08
+    way: Annotated[q.Length, within(1e-4, 10, "length")] = 0.08
     """Travel, in both directions, after which 1/e of that fraction is left."""
 
     @model_validator(mode="after")
@@ -290,8 +278,8 @@ class StopsOverLengthFile(Strict):
 class StopsOverPressureFile(Strict):
     """Hysteresis over pressure, at most `height` to each side."""
 
-    height: Annotated[q.Force, _within(0, 1e4, "force")]
-    widths: Annotated[list[Annotated[q.Pressure, _within(1, 1e6, "pressure")]], Field(min_length=1, max_length=20)]
+    height: Annotated[q.Force, within(0, 1e4, "force")]
+    widths: Annotated[list[Annotated[q.Pressure, within(1, 1e6, "pressure")]], Field(min_length=1, max_length=20)]
     weights: Weights
 
     @model_validator(mode="after")
@@ -303,8 +291,8 @@ class StopsOverPressureFile(Strict):
 class CreepFile(Strict):
     """A length that creeps after the contraction, `share` of it with each time constant."""
 
-    share: Annotated[q.Ratio, _within(0, 0.2, "ratio")]
-    times: Annotated[list[Annotated[q.Time, _within(1e-3, 1e6, "time")]], Field(min_length=1, max_length=20)]
+    share: Annotated[q.Ratio, within(0, 0.2, "ratio")]
+    times: Annotated[list[Annotated[q.Time, within(1e-3, 1e6, "time")]], Field(min_length=1, max_length=20)]
 
     @model_validator(mode="after")
     def _less_than_all(self) -> CreepFile:
@@ -319,7 +307,7 @@ class RealFile(PlantFile):
     """A muscle with curved force, hysteresis over contraction and pressure, and creep; effects not given are absent."""
 
     law: Literal["real"]
-    reach: tuple[Annotated[q.Ratio, _within(-0.1, 0, "ratio")], Annotated[q.Ratio, _within(0.001, 0.5, "ratio")]]
+    reach: tuple[Annotated[q.Ratio, within(-0.1, 0, "ratio")], Annotated[q.Ratio, within(0.001, 0.5, "ratio")]]
     """Lowest and highest contraction that may be driven, as fractions of the length; a free end starts at 0."""
     surface: SurfaceFile
     B_c: Coefficient

@@ -12,6 +12,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema, model_validator
 
+from pmabench.base.quantities import show
 from pmabench.files import quantity as q
 from pmabench.files.document import Strict
 
@@ -42,6 +43,17 @@ def not_below_zero(value: float) -> float:
     return value
 
 
+def within(low: float, high: float, quantity: str) -> AfterValidator:
+    """Validator that refuses values outside the plausible range, with a message in display units."""
+
+    def check(value: float) -> float:
+        if not low <= value <= high:
+            raise ValueError(f"{show(value, quantity)} is outside {show(low, quantity)} to {show(high, quantity)}")
+        return value
+
+    return AfterValidator(check)
+
+
 PressureAbove0 = Annotated[q.Pressure, AfterValidator(above_zero)]
 PressureNotBelow0 = Annotated[q.Pressure, AfterValidator(not_below_zero)]
 RateAbove0 = Annotated[q.PressureRate, AfterValidator(above_zero)]
@@ -50,6 +62,7 @@ TimeAbove0 = Annotated[q.Time, AfterValidator(above_zero)]
 RatioAbove0 = Annotated[q.Ratio, AfterValidator(above_zero)]
 AngleAbove0 = Annotated[q.Angle, AfterValidator(above_zero)]
 MassAbove0 = Annotated[q.Mass, AfterValidator(above_zero)]
+MassNotBelow0 = Annotated[q.Mass, AfterValidator(not_below_zero)]
 ConductanceAbove0 = Annotated[q.Conductance, AfterValidator(above_zero)]
 RatioNotBelow0 = Annotated[q.Ratio, AfterValidator(not_below_zero)]
 

@@ -17,7 +17,8 @@ from pmabench.protocol.sweep import Point, PressureAxis, Sweep, expand
 
 ROOM = (50e3, 110e3)
 """Range of the room's absolute pressure [Pa]: from 5.5 km above sea level to a high at sea level."""
-ENDS = ("stop", "vent")
+ENDS = ("hold", "stop", "vent")
+"""Actions of `following` that do not let a pressure that is shut in differ from its command."""
 SLACK_TIME = 5.0
 """Margin of the time limit beyond the strokes [s]."""
 MOST = 20.0

@@ -111,7 +111,11 @@ class ContractionRelaxation(ProtocolHead):
                 c.fault(("trial", "relax"), f'"{name}" is missing; only "reduction: {{method: paper-1}}" vents at once')
                 return c.plan("contraction-relaxation", {})
             c.positive(getattr(relax, name), ("trial", "relax", name))
-        for index, (point, is_reference) in enumerate(self._order(expand(self.sweep, c.document))):
+        points = list(self._order(expand(self.sweep, c.document)))
+        if points and relax.then > (lowest := min(point.values["pressure"] for point, _ in points)):
+            text = f"is above the pressure of a trial, {show(lowest, 'pressure')}: a relaxation goes down"
+            c.fault(("trial", "relax", "then"), f"{show(relax.then, 'pressure')} {text}")
+        for index, (point, is_reference) in enumerate(points):
             pressure = point.values["pressure"]
             c.within("pressure", pressure, point.places["pressure"])
             c.positive(pressure, point.places["pressure"])

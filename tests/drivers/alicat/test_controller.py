@@ -16,7 +16,7 @@ from pmabench_drivers.alicat import AlicatController, ascii_link
 from pymodbus.framer import FramerRTU
 
 from pmabench.base.clock import RealClock
-from pmabench.base.errors import DeviceError
+from pmabench.base.errors import DeviceError, NotSent
 from pmabench.bench.interface import Segment
 from tests.drivers.alicat.rigs import HandPeer, controller, listing, replace
 from tests.drivers.common import opened, timed, until
@@ -222,7 +222,7 @@ def test_another_set_point_source_is_refused_when_opened(tmp_path):
 def test_set_points_that_are_ignored_are_noticed(rig):
     emulator, _, device = rig
     behind(emulator).source = "A"
-    with pytest.raises(DeviceError, match="was commanded 150 and holds 0: is its set-point source"):
+    with pytest.raises(NotSent, match="was commanded 150 and holds 0: is its set-point source"):  # nothing comes later
         device.write("pressure", 150.0)
     behind(emulator).source = "S"
     device.write("pressure", 150.0)

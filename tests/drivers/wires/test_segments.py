@@ -9,7 +9,7 @@ from pmabench_drivers.shared.device import Stepped, refuse_nonsense, stepped
 from pmabench_drivers.shared.link import Unanswered
 
 from pmabench.base.clock import VirtualClock
-from pmabench.base.errors import DeviceError
+from pmabench.base.errors import DeviceError, NotSent
 from pmabench.bench.interface import DeviceRecord, OutputRecord, Scale, Segment
 
 RAMP = Segment("ramp", 1.0, 0.0, 5.0, rate=2.0)
@@ -83,6 +83,22 @@ def test_a_step_that_is_not_answered_is_known_although_a_vent_took_over_meanwhil
     device.lost = True
     assert device._step() is None, "nobody waits for the segment any more"
     assert device.unanswered == 1.5
+
+
+def test_a_step_whose_answer_refuses_it_cannot_come_later(monkeypatch):
+    clock = VirtualClock()
+    output = OutputRecord("pressure", "pressure", "regulator", "p", Scale(), 0.0, 0.0, 0.0, 6e5)
+    device = Steps(DeviceRecord("regulator", "x:Y", outputs=(output,)), clock)
+    monkeypatch.setattr(device, "write_between", lambda: refuse())
+
+    def refuse():
+        raise NotSent("regulator", "holds 120", output.output)
+
+    device.lost = True
+    device.follow("p", RAMP)
+    clock.wait_until(1.5)
+    assert isinstance(device._step(), NotSent)
+    assert device.unanswered == -math.inf
 
 
 @pytest.mark.parametrize(("quantity", "leap"), [("length", 1.5 * 0.05), ("angle", 1.5 * 0.05), ("pressure", 0.22)])
