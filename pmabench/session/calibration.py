@@ -7,6 +7,7 @@ line, its uncertainty and its file are in `calibration_line`.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from math import inf
@@ -248,6 +249,10 @@ def check(mounted: Mounted, request: Request) -> tuple[ChannelRecord | None, Out
     return (None if name == REGULATOR else channel), output
 
 
+GAP = 0.4
+"""Share of the range between two neighbouring points from which on they show a bend too late: 1/3 of four even ones."""
+
+
 def not_shown(request: Request) -> list[str]:
     """Sentences on what these points and cycles cannot determine."""
     found, count = [], len(set(request.points))
@@ -258,6 +263,12 @@ def not_shown(request: Request) -> list[str]:
         )
     if count == 3:
         found.append("three points do not show a line that bends one way and then the other; take four or more")
+    targets = sorted(set(request.points))
+    near, far = max(itertools.pairwise(targets), key=lambda pair: pair[1] - pair[0], default=(0.0, 0.0))
+    if count > 3 and far - near > GAP * (targets[-1] - targets[0]):
+        quantity = "pressure" if request.channel == REGULATOR else CHANNEL_QUANTITY[request.channel]
+        ends = f"{show(near, quantity)} and {show(far, quantity)}"
+        found.append(f"between {ends} nothing shows how far the channel bends; take points evenly")
     if request.cycles == 1:
         found.append(
             "one cycle has no repeats: what up and down differ counts as scatter as well as hysteresis, and drift is "

@@ -200,6 +200,22 @@ def test_what_few_points_and_cycles_do_not_show_is_said_before():
         assert [" ".join(line.split()[:2]) for line in not_shown(request)] == words
 
 
+def test_points_that_leave_most_of_the_range_out_are_warned_of():
+    """A sensor bent by 0.2 mm, calibrated at 0, 10, 20 and 100 mm, was twice U off its line between the last two."""
+    points = (0.0, 0.01, 0.02, 0.1)
+    (said,) = not_shown(Request("displacement", points, "w", 2e-5, 2))
+    assert "between 20 mm and 100 mm" in said
+    bent = [
+        Point(x, x, x + 2e-4 * np.sin(2 * np.pi * x / 0.1), way, n)
+        for n in (0, 1)
+        for way in (UP, DOWN)
+        for x in points
+    ]
+    line, x = fit(bent, 2e-5), np.linspace(0, 0.1, 101)
+    assert np.abs(line.scale.to_si(x + 2e-4 * np.sin(2 * np.pi * x / 0.1)) - x).max() > 1.5 * line.expanded
+    assert not not_shown(Request("displacement", (0.0, 0.03, 0.06, 0.1), "w", 2e-5, 2))
+
+
 def test_a_cell_that_sees_no_load_is_no_calibration(tmp_path):
     """496 N on a support: the reading moved by 0.1 count of 65535, and a file with 3483 N/count was written."""
     request = Request("force", (0.0, 496.386), "weights", 0.1, cycles=1)
