@@ -123,7 +123,7 @@ class HtmlFile(click.Path):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """The path, unless it ends like a file of another program."""
-        path = super().convert(value, param, ctx)
+        path = Path(str(super().convert(value, param, ctx)))
         if path.suffix.lower() in OTHERS:
             option = f"--{path.suffix.lower()[1:]}"
             known = ctx is not None and any(option in one.opts for one in ctx.command.params)

@@ -307,7 +307,7 @@ def test_a_force_that_is_not_the_load_is_named_and_held(motion: tuple[np.ndarray
 
     By F_ce - K x = F_L the true model is off by F_L / K under it.
     """
-    P, (K, F_ce) = 5e5, (5600 + 1e-3 * 5e5 + 9.7e-9 * 5e5**2, 1.08e-3 * 5e5 - 49.0)
+    K, F_ce = 5600 + 1e-3 * 5e5 + 9.7e-9 * 5e5**2, 1.08e-3 * 5e5 - 49.0
     share = 1 - reads / F_ce
     rng = np.random.default_rng(4)
     trials = []
