@@ -5,13 +5,12 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from math import hypot
 from typing import Any
 
 from pmabench.analysis.imported import in_time, without_doubtful
 from pmabench.analysis.shared.changes import Change, followed, of_forces, of_values, with_changes
-from pmabench.analysis.shared.regulated import regulated
+from pmabench.analysis.shared.regulated import regulated, vented
 from pmabench.analysis.shared.samples import with_motion
 from pmabench.analysis.shared.saturated import saturated
 from pmabench.analysis.shared.signals import without_spikes
@@ -144,10 +143,18 @@ def _reduced(kind: str, runs: Sequence[RunData], options: Mapping[str, Any] | No
     count = max((side_by_side(run.manifest.get("specimen")) for run in runs), default=1)
     analysis = without_diameter(analysis, count)
     analysis = with_motion(with_checks(analysis, record, runs), runs, record.moves)
+    zero = _zero_of_all(runs) if FORM in record.parts else []
     analysis = with_changes(
-        analysis, runs, lambda others: record.part("reduction")(others, options), partial(_changes, record)
-    )
+        analysis, runs, lambda others: record.part("reduction")(others, options),
+        lambda run: [*_changes(record, run), *zero],
+    )  # fmt: skip
     return with_record(without_doubtful(analysis, runs), runs)
+
+
+def _zero_of_all(runs: Sequence[RunData]) -> list[Sequence[Change]]:
+    """The largest zero of the gauge that runs show: others, which are never vented, may have it as well."""
+    found = [change for run in runs if (change := vented(run))]
+    return [[max(found, key=lambda one: abs(one.offset))]] if found else []
 
 
 def _changes(kind: Kind, run: RunData) -> list[Sequence[Change]]:

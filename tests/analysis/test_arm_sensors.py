@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from pmabench.kinds.arm_angle import reduction
 from pmabench.store.analyses.results import Analysis, Estimate
+from pmabench.store.records import Command, TrialData
 from tests.analysis.judged_forms import as_run, as_trials
 from tests.analysis.test_polled_channels import played
 from tests.judge import arm
@@ -120,3 +123,46 @@ def test_creep_that_is_slower_than_a_hold_is_in_the_intervals(share, times):
     fits = of(analysis, "alpha_b", "logistic-up")
     assert fits
     assert all(e.parts.combined is None for e in fits)
+
+
+def drifting(drift, repeats=4):
+    """Angles of loads in turn whose sensor's zero moves by `drift` from the first trial to the last [rad]."""
+    made = []
+    for load, number in ((load, number) for load in (0.0, 0.2) for number in range(repeats)):
+        corners, levels = [0.0, 0.5], [0.0, 0.0]
+        commands = []
+        for phase, level in (("preload", 50e3), ("up", 150e3), ("up", 300e3), ("down", 150e3), ("down", 50e3)):
+            commands.append(Command(corners[-1], "pressure", "ramp", level, levels[-1], phase, {"rate": 100e3}))
+            corners += [corners[-1] + abs(level - levels[-1]) / 100e3 + 1e-9]
+            corners += [corners[-1] + 3.0]
+            levels += [level, level]
+        t = np.arange(0, corners[-1], 0.02)
+        P = np.interp(t, corners, levels)
+        rng = np.random.default_rng(len(made))
+        begin, share = 60.0 * len(made), len(made) / (2 * repeats - 1)
+        angle = (3e-6 - 2e-6 * load) * P + drift * share + rng.normal(0, 5e-4, len(t))
+        channels = {"pressure": P + rng.normal(0, 300, len(t)), "angle": angle}
+        commands = tuple(replace(one, t=begin + one.t) for one in commands)
+        made.append(TrialData("a", len(made), {"tip_mass": load}, number, False, "finished", begin + t, channels,
+                              np.zeros(len(t), dtype=np.uint16), commands, {}))  # fmt: skip
+    settings: dict[str, object] = {"preload": 50e3, "angle": "measured", "compare": "nothing"}
+    known = {name: facts for name, facts in KNOWN.items() if name != "displacement"}
+    return reduction.reduce([as_run("arm-angle", made, 50.0, settings, known)])
+
+
+def test_a_zero_of_the_angle_that_drifts_from_trial_to_trial_is_held_and_said():
+    """0.03 rad: the loads that were tested last were 2.3 half widths off."""
+    analysis = drifting(0.03)
+    for symbol, P in (("alpha_0", 50e3), ("alpha_max", 300e3)):
+        values = of(analysis, symbol, "angle-at-rest")
+        assert len(values) == 2
+        for e in values:
+            assert abs(e.value - (3e-6 - 2e-6 * e.at["tip_mass"]) * P) < e.parts.combined
+    assert any("zero of its sensor drifts" in f.text for f in analysis.findings if f.level == "doubt")
+
+
+def test_an_angle_without_drift_has_none():
+    analysis = drifting(0.0)
+    assert not any("drifts" in f.text for f in analysis.findings)
+    for e in of(analysis, "alpha_0", "angle-at-rest"):
+        assert not any("drift" in line.name for line in e.budget)

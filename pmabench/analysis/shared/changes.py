@@ -86,7 +86,8 @@ def with_changes(
     ways = dict[tuple[str, str, int], dict[str, Change]]()
     for run in runs:
         for changes in found(run):
-            findings.append(Finding("doubt", changes[0].text))
+            if (doubt := Finding("doubt", changes[0].text)) not in findings:
+                findings.append(doubt)
             for number, change in enumerate(one for one in changes if one.gain or one.offset):
                 ways.setdefault((change.channel, change.name, number), {})[run.id] = change
     doubts: list[dict[str, Doubt]] = [{} for _ in analysis.estimates]

@@ -23,6 +23,8 @@ REST, SAME = 2e-3, 2e-3
 """Change of pressure and command, as a share of the highest command, that counts as none [1]."""
 HIGH = 0.2
 """Share of the highest command below which a zero, or a regulator that does not vent, would count as a scale [1]."""
+EMPTY = 0.002
+"""Share of the highest command up to which it is 0 [1]."""
 REGULATES = 0.01
 """Error of a regulator that is usual, as a share of the highest command [1]."""
 AT_ONE = 0.02
@@ -42,10 +44,8 @@ def regulated(run: RunData) -> Change | None:
 
     They agree within what is declared for the gauge and the usual error of a regulator.
     """
-    every = max(1, round(run.rate / RATE)) if isfinite(run.rate) else 1
-    sent = [t.channels[SENT][::every] for t in run.trials if SENT in t.channels and PRESSURE in t.channels]
-    top = max((float(np.nanmax(one)) for one in sent if np.isfinite(one).any()), default=0.0)
-    rests = [rest for trial in run.trials for rest in _rests(trial, top, every)]
+    every, top = _top(run)
+    rests = [rest for trial in run.trials for rest in _rests(trial, top, every) if rest[0] > HIGH * top]
     if not rests:
         return None
     levels = grouped(rests, lambda rest: round(rest[0] / top, 2))
@@ -70,6 +70,32 @@ def regulated(run: RunData) -> Change | None:
     return Change(PRESSURE, 1 / (1 + MORE * share) - 1, 0.0, 0.0, text, "gauge against command", inf)
 
 
+def vented(run: RunData) -> Change | None:
+    """The change of the pressure's zero that brings the gauge to 0 where 0 is commanded; None where it reads it.
+
+    Of several rests the one nearest to 0 counts: the others may not have come to it.
+    """
+    every, top = _top(run)
+    reads = [P for trial in run.trials for sent, P in _rests(trial, top, every) if abs(sent) <= EMPTY * top]
+    if not reads or min(reads) <= 0 <= max(reads):
+        return None
+    level, info = min(reads, key=abs), run.channels.get(PRESSURE)
+    if abs(level) <= max(info.offset_uncertainty if info else 0.0, REST * top):
+        return None
+    text = (
+        f"{run.id}: vented, the gauge reads {show(level, PRESSURE, 2)}: its zero, or a regulator that does not vent. "
+        "Intervals hold both. Vent the muscle and take the zero of the gauge"
+    )
+    return Change(PRESSURE, 0.0, -level, 0.0, text, "zero of the gauge", inf)
+
+
+def _top(run: RunData) -> tuple[int, float]:
+    """One in how many samples is looked at, and the highest command [Pa]; 0 without one."""
+    every = max(1, round(run.rate / RATE)) if isfinite(run.rate) else 1
+    sent = [t.channels[SENT][::every] for t in run.trials if SENT in t.channels and PRESSURE in t.channels]
+    return every, max((float(np.nanmax(one)) for one in sent if np.isfinite(one).any()), default=0.0)
+
+
 def _rests(trial: TrialData, top: float, every: int) -> Iterator[tuple[float, float]]:
     """Command and mean pressure [Pa] at the end of each constant command, at rest; of one in `every` samples."""
     if trial.status != "finished" or not {PRESSURE, SENT} <= set(trial.channels):
@@ -80,7 +106,7 @@ def _rests(trial: TrialData, top: float, every: int) -> Iterator[tuple[float, fl
     for begin, end in _constant(t, sent, SAME * top):
         quarter = (t[begin:end] > 0.25 * t[begin] + 0.75 * t[end - 1]).nonzero()[0] + begin
         before, after = np.array_split(quarter, 2)
-        if sent[begin] > HIGH * top and len(after) and abs(P[before].mean() - P[after].mean()) < REST * top:
+        if len(after) and abs(P[before].mean() - P[after].mean()) < REST * top:
             yield float(sent[quarter].mean()), float(P[quarter].mean())
 
 

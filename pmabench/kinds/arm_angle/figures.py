@@ -75,6 +75,12 @@ def of_rests(loads: Sequence[Loaded], settings: Mapping[str, Any]) -> list[Findi
         text = f"with {worst.mass:g} kg the displacement gives {show(worst.apart, 'angle', 2)} more than the angle"
         text += " at all pressures alike: one of their zeros is off. Zero both with the arm straight"
         found.append(Finding("doubt", text))
+    if drift := loads[0].drift:
+        text = (
+            f"vented, the angle before the trials changes by {show(drift, 'angle', 2)} from the first to the last: the "
+        )
+        text += "zero of its sensor drifts, or the muscle creeps. The angles hold it; look for the cause"
+        found.append(Finding("doubt", text))
     if settings.get("angle") != "from-displacement":
         found += _arcs(rests, largest, settings)
     return found

@@ -272,7 +272,8 @@ def _at_rest(one: Loaded, place: int, slope: float) -> list[Doubt]:
     """Effects on an angle of the way up; `slope` is d(angle)/d(pressure) there [rad/Pa]."""
     further, reason = _moving(one, place, -1)
     moving = Doubt("motion after the hold", "method", further.most, further.seen, reason)
-    return [moving, _slips(one), _zero(one, slope), _apart(one), _steps(one.coarse)]
+    drift = Doubt("drift of the angle's zero", "drift", abs(one.drift), seen=True)
+    return [moving, _slips(one), _zero(one, slope), _apart(one), _steps(one.coarse), drift]
 
 
 def _of_gap(one: Loaded, place: int, value: float) -> list[Doubt]:

@@ -29,6 +29,7 @@ from pmabench.analysis.shared.samples import (
     sticks,
     unresolved,
 )
+from pmabench.analysis.shared.student import ppf
 from pmabench.analysis.shared.trials import grouped, measured_trials
 from pmabench.base.quantities import show
 from pmabench.store.analyses.results import Dropped
@@ -45,6 +46,8 @@ FOLLOWS = 0.5
 """Share of the commanded change that the measured pressure must show between the rests [1]."""
 MANY = 3
 """Fewest trials of which one can be found to differ from the others."""
+SIGNIFICANT = 0.995
+"""Probability of Student's t above which a drift is significant."""
 SURE = 8.0
 """A trial that does not return counts as slipped from this many standard deviations of a rest's noise on."""
 SOON, LATER_ON = 0.03, 0.3
@@ -94,6 +97,8 @@ class Stair:
     rests: tuple[Rest, ...]
     vented: tuple[float, ...]
     """Vented pressure before and after the trial [Pa], each moved towards 0 by its noise."""
+    start: float
+    """Angle before the first ramp, if that starts at 0 [rad]; else nan."""
 
     def column(self, sets: Sequence[float], side: int, of: str = "angle") -> Array:
         """Attribute `of` of the rests reached from one side, at the commanded pressures `sets`; nan where there is
@@ -117,6 +122,8 @@ class Loaded:
     """Distance from the arm's middle to the line of the displacement [m]; nan where unknown."""
     channel: str
     """Channel that gives the angle."""
+    drift: float = 0.0
+    """Change of the angle before the trials, from the first to the last of all loads [rad]; 0 where none is seen."""
 
     @property
     def per_offset(self) -> float:
@@ -244,7 +251,34 @@ def loads_of(runs: Sequence[RunData], settings: Mapping[str, Any]) -> tuple[list
         else:
             why = "no pressure is common to all trials with its load"
             dropped += [Dropped(stair.trial.name, stair.trial.point, why) for stair in stairs]
-    return found, dropped
+    drift = from_trial_to_trial([one.stairs for one in found])
+    known_to = max((one.scales.offsets.get(one.channel, 0.0) * abs(one.per_offset) for one in found), default=0.0)
+    return [replace(one, drift=drift if abs(drift) > known_to else 0.0) for one in found], dropped
+
+
+def from_trial_to_trial(loads: Sequence[Sequence[Stair]]) -> float:
+    """Change of the angle before the trials by a line in time, from the first trial to the last [rad]; 0 where it is
+    not significant.
+
+    Trials are compared with those of the same load. The first of all is left out: the muscle was at rest before.
+    """
+    first = min((stair.trial.t[0] for stairs in loads for stair in stairs), default=0.0)
+    t, y, cells = list[float](), list[float](), 0
+    for stairs in loads:
+        known = [(stair.trial.t[0], stair.start) for stair in stairs if stair.trial.t[0] > first]
+        known = [one for one in known if np.isfinite(one[1])]
+        if known:
+            cells += 1
+            mean_t, mean_y = np.mean(known, axis=0).tolist()
+            t += [at - mean_t for at, _ in known]
+            y += [start - mean_y for _, start in known]
+    free, off, value = len(t) - cells - 1, np.array(t), np.array(y)
+    if free < MANY - 1 or not off.any():
+        return 0.0
+    slope = float(off @ value / (off @ off))
+    error = float(np.sqrt(np.sum((value - slope * off) ** 2) / free / (off @ off)))
+    whole = max(float(stair.trial.t[0]) for stairs in loads for stair in stairs) - first
+    return slope * whole if abs(slope) > float(ppf(SIGNIFICANT, free)) * error else 0.0
 
 
 def channel_of(settings: Mapping[str, Any]) -> str:
@@ -302,7 +336,8 @@ def measure(trial: TrialData, settings: Mapping[str, Any]) -> Stair:
     if found < FOLLOWS * wanted:
         moved = f"{show(float(found), 'pressure', 3)} of the {show(float(wanted), 'pressure', 3)} that were commanded"
         raise NotUsable(f"over the rests on its way up the measured pressure moves by {moved}: a dead or wrong channel")
-    return Stair(trial, tuple(rests), _vented(trial, ramps, good))
+    begins_at_0 = bool(ramps) and ramps[0].before == 0 and ramps[0].recorded
+    return Stair(trial, tuple(rests), _vented(trial, ramps, good), start if begins_at_0 else np.nan)
 
 
 def _vented(trial: TrialData, ramps: Sequence[Command], good: NDArray[np.bool_]) -> tuple[float, ...]:

@@ -36,6 +36,8 @@ FLAT = 0.02
 """Smallest share of samples at one extreme value for which a channel counts as cut off."""
 RARER = 5.0
 """Least ratio of samples at a cut extreme to those at the next value; in an uncut sine of few counts it is 2."""
+SURE = 5.0
+"""Deviations by noise from which on a third harmonic is significant."""
 MORE = 1.2
 """Factor for an assumed form that need not be exact: hysteresis blurred by noise, a plant of higher order."""
 
@@ -133,7 +135,28 @@ def other_shape(sines: Sequence[Sine]) -> list[Doubt]:
         f"the loop is no ellipse: by its third harmonics its width at mean pressure may be {show(half, 'length', 2)} "
         "off: friction, or a bent curve. Read it off the figure of the loop"
     )
-    return [Doubt("shape of the loop", "method", half, share > 5 * noise, reason)]
+    return [Doubt("shape of the loop", "method", half, share > SURE * noise, reason)]
+
+
+PLAY, TURNS = 5.8, 3.0
+"""A play turns a sine by three times its third harmonic r, and shortens it by 5.8 r^1.5, within 6 % up to a fifth of
+the amplitude (the first and third harmonic of a sine after a play).
+"""
+
+
+def play(sines: Sequence[Sine], *, phase: bool = False) -> list[Doubt]:
+    """Effect on amplitude [1] or `phase` [rad] of a play in the sensor of the contraction, where the loop may have one.
+
+    Friction of the muscle makes the same loop, and then the amplitude is right: nothing is withheld. The third harmonic
+    of a bent curve is in phase with the motion, that of a play is not.
+    """
+    x, P, noise = _third(sines)
+    X, driven = (sines[0].amplitudes[name] for name in ("displacement", "pressure"))
+    if abs((x * np.exp(-3j * np.angle(X / driven))).imag) <= SURE * noise + abs(P):
+        return []
+    third = abs(x)
+    half = MORE * (TURNS * third if phase else PLAY * third**1.5)
+    return [Doubt("play of the sensor, if it is no friction", "method", half, seen=False)]
 
 
 def hysteresis(sines: Sequence[Sine], offsets: Mapping[str, float], names: Sequence[str]) -> list[Doubt]:

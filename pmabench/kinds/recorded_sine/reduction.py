@@ -21,7 +21,7 @@ from pmabench.analysis.shared.samples import UNDECLARED, fresh, lags_of, three_p
 from pmabench.analysis.shared.sine_loop import without_lag
 from pmabench.base.quantities import show
 from pmabench.kinds.recorded_sine import RESULTS
-from pmabench.kinds.recorded_sine.form import bandwidth, changing, cut_off, hysteresis, other_shape, sensors
+from pmabench.kinds.recorded_sine.form import bandwidth, changing, cut_off, hysteresis, other_shape, play, sensors
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, Flag, RunData, TrialData
 
@@ -350,12 +350,14 @@ def _at(group: Sequence[tuple[RunData, Sine]], *, alone: bool, read_off: bool) -
     width_by = [2 * size * np.abs(np.sin(p)) for size, p in zip(x_by, phase_by, strict=True)]
     both = ("pressure", "displacement")
     late = "lateness taken as the middle of its range" if read_off else UNTOLD_TIME
-    slow = [*sensors(first, both, phase=True), *hysteresis(sines, scales.offsets, both)]
+    slow = [*sensors(first, both, phase=True), *hysteresis(sines, scales.offsets, both), *play(sines, phase=True)]
+    loose = play(sines)
+    sized = [[replace(one, half=one.half * float(np.mean(of))) for one in loose] for of in (x, _sizes(sines, *both)[0])]
     shape = [*other_shape(sines), *(replace(one, half=_width_by(first, phase[0], one.half)) for one in slow)]
     found = [
         estimate("P", ("Pa", "pressure"), _sizes(sines, "pressure"), ("pressure",)),
-        estimate("x", ("m", "length"), (x, x_by), ("displacement",)),
-        estimate("P/x", ("Pa/m", "gain"), _sizes(sines, *both), both),
+        estimate("x", ("m", "length"), (x, x_by), ("displacement",), doubts=sized[0]),
+        estimate("P/x", ("Pa/m", "gain"), _sizes(sines, *both), both, doubts=sized[1]),
         estimate("phi_x", ("rad", "angle"), (phase, phase_by), method=doubt or None, note=late, doubts=slow),
         estimate("H", ("m", "length"), (width, width_by), ("displacement",),
                  _width_by(first, phase[0], doubt) or None, late, shape),
