@@ -68,7 +68,9 @@ TO_RUN = [marked(page) for page in PAGES]
 
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory):
-    """The runs of `campaign demo` and their analyses, made once for all workers."""
+    """The runs of `campaign demo` and their analyses, made once for all workers; `PMABENCH_DEMO` names a demo's folder."""
+    if made := os.environ.get("PMABENCH_DEMO"):
+        return Path(made)
     shared = tmp_path_factory.getbasetemp()
     folder = (shared.parent if "PYTEST_XDIST_WORKER" in os.environ else shared) / "demo"
     with locked(folder.with_suffix(".lock")), pytest.MonkeyPatch.context() as patch:
@@ -122,7 +124,7 @@ def test_a_page_can_be_typed_from_top_to_bottom(page, tmp_path, monkeypatch, req
     for folder in (tmp_path / str(attempt) for attempt in range(TRIES)):
         monkeypatch.setenv("PMABENCH_STATE", str(folder / "state"))
         if demo:
-            shutil.copytree(demo, folder)
+            shutil.copytree(demo, folder, ignore=shutil.ignore_patterns("report.html"))
         else:
             folder.mkdir()
         write_files(page, folder)

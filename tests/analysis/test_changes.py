@@ -118,16 +118,16 @@ def doubts(analysis: Analysis, text: str) -> list[str]:
 
 
 WRONG = [
-    ("displacement", 0.06, 0.0, "compared with its command"),
-    ("displacement", -0.03, 0.0, "compared with its command"),
-    ("displacement", 0.0, 1e-3, "compared with its command"),
-    ("force", 0.06, 0.0, "the force at the same places changed"),
-    ("force", 0.0, 15.0, "the force at the same places changed"),
+    ("displacement", 0.06, 0.0, "compared with its command", 0.0),
+    ("displacement", -0.03, 0.0, "compared with its command", 7.0),
+    ("displacement", 0.0, 1e-3, "compared with its command", 7.0),
+    ("force", 0.06, 0.0, "the force at the same places changed", 7.0),
+    ("force", 0.0, 15.0, "the force at the same places changed", 0.0),
 ]
+"""Channel, what happens to it, what is said, and how long after the end of a cycle [s]: of each channel one in a cycle."""
 
 
-@pytest.mark.parametrize("later", [0.0, 7.0])
-@pytest.mark.parametrize(("channel", "gain", "offset", "said"), WRONG)
+@pytest.mark.parametrize(("channel", "gain", "offset", "said", "later"), WRONG)
 def test_a_sensor_changed_in_the_middle_of_ramps_is_in_every_interval_and_said(channel, gain, offset, said, later):
     """At the end of a cycle, or within one, which then has neither the scale before nor that after."""
     since = middle(ramps(good)) + later
@@ -160,7 +160,7 @@ def test_a_displacement_that_is_off_its_command_throughout_is_a_doubt():
     assert len(doubts(slipped, "2 mm off the place where it was sent")) == 1
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_nothing_is_said_of_good_ramps_and_their_values_stay_sharp(seed):
     (analysis,) = reduce_runs([ramps(good, seed)])
     assert not wrong(analysis, truth)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import pytest
@@ -53,6 +54,7 @@ class Bench:
     """Samples for which a value of the gauge is held."""
     sides: tuple[float, ...] = (-1.0, 1.0)
 
+    @cache  # noqa: B019  (a few benches, until the module ends)
     def measured(self, seed: int) -> Analysis:
         """Reduced: in each trial a rest that is vented, a ramp of 1 s, a hold of 3 s; from either side."""
         random, trials, t = np.random.default_rng(seed), [], np.arange(0.0, 6.0, 0.02)

@@ -14,6 +14,8 @@ from pmabench.cli import common
 from pmabench.cli.main import main
 
 CHECK = ["check", "static-load", "--bench", "mock", "--specimen", "mas-20-250-paper0"]
+LIST = ["list", "benches"]
+"""Prints pages in a tenth of the time: nothing is imported for it."""
 FULL = Path("/dev/full")
 
 
@@ -23,7 +25,7 @@ def start(*args, **streams):
     return subprocess.Popen([sys.executable, "-c", code, *args], stdin=subprocess.DEVNULL, **pipes)
 
 
-@pytest.mark.parametrize("args", [[*CHECK, "--plan"], [*CHECK, "--json"], ["--help"]])
+@pytest.mark.parametrize("args", [[*CHECK, "--plan"], [*LIST, "--json"], ["--help"]])
 def test_a_closed_pipe_ends_quietly(args):
     reading, writing = os.pipe()
     os.close(reading)
@@ -35,7 +37,7 @@ def test_a_closed_pipe_ends_quietly(args):
 
 
 @pytest.mark.skipif(not FULL.exists(), reason="not run: there is no /dev/full")
-@pytest.mark.parametrize("args", [CHECK, [*CHECK, "--json"], ["--help"], ["schema", "bench"]])
+@pytest.mark.parametrize("args", [LIST, [*LIST, "--json"], ["--help"], ["schema", "bench"]])
 def test_a_full_disk_behind_stdout_is_a_sentence_and_exit_7(args):
     with FULL.open("wb") as full, start(*args, stdout=full) as program:
         error = program.communicate()[1].decode()
@@ -63,7 +65,7 @@ def test_a_pipe_that_breaks_inside_the_work_is_never_taken_for_the_output(monkey
 
 @pytest.mark.parametrize("number", [1, 2])
 def test_a_closed_stream_is_no_failure(number):
-    with start(*CHECK, preexec_fn=lambda: os.close(number)) as program:
+    with start(*LIST, preexec_fn=lambda: os.close(number)) as program:
         program.communicate()
     assert program.returncode == 0
 

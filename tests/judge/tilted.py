@@ -63,13 +63,14 @@ def _turned(phi: Array, psi: Array) -> Array:
 
 def _ropes(phi: Array, psi: Array) -> tuple[Array, Array]:
     """Contractions [%], shape (3, n), and what each muscle's pull of 1 N turns about both axes [m], shape (2, 3, n)."""
-    R = _turned(phi, psi)
-    anchors = np.einsum("ijn,jm->imn", R, ANCHORS)
+    ax, ay, _ = ANCHORS[:, :, None]
+    s, c, S = np.sin(phi), np.cos(phi), np.sin(psi)
+    x, y, z = anchors = np.stack([np.cos(psi) * ax, s * S * ax + c * ay, s * ay - c * S * ax])
     ropes = anchors - BASES[:, :, None]
-    lengths = np.linalg.norm(ropes, axis=0)
-    moments = np.cross(anchors, -ropes / lengths, axis=0)
-    second = np.stack([np.zeros_like(phi), np.cos(phi), np.sin(phi)])
-    return 100 * (1 - lengths / HEIGHT), np.stack([moments[0], np.einsum("in,imn->mn", second, moments)])
+    lengths = np.sqrt(np.sum(ropes * ropes, axis=0))
+    dx, dy, dz = -ropes / lengths
+    moments = np.stack([y * dz - z * dy, c * (z * dx - x * dz) + s * (x * dy - y * dx)])
+    return 100 * (1 - lengths / HEIGHT), moments
 
 
 def _wanted(phi: Array, psi: Array, moment: Array) -> Array:
@@ -113,7 +114,7 @@ def _moved(cause: str, size: float, seed: int) -> tuple[Array, Array, Array, lis
         second = second + FINE / REFERENCE_LAG * (first - second)
         seen_1 = seen_1 + FINE / ATTITUDE_LAG * (q + off - seen_1)
         seen_2 = seen_2 + FINE / ATTITUDE_LAG * (seen_1 - seen_2)
-        integral = np.clip(integral + FINE * gain * (second - seen_2), -MOST, MOST)
+        integral = np.minimum(np.maximum(integral + FINE * gain * (second - seen_2), -MOST), MOST)
         if step % round(PERIOD / FINE) == 0:
             wanted = _wanted(*second, K_P * (second - seen_2) + integral)
             needed = (wanted - P) / np.where(wanted > P, FILL, EMPTY * (P + 1e5) / 4e5)
@@ -123,12 +124,12 @@ def _moved(cause: str, size: float, seed: int) -> tuple[Array, Array, Array, lis
             for m, k in zip(*np.nonzero(seconds), strict=True):
                 valve = VALVES[2 * m + (0 if needed[m, k] > 0 else 1)]
                 pulses[k].append((t, valve, float(seconds[m, k])))
-        open_ = np.clip((until - t) / FINE, 0, 1)
+        open_ = np.minimum(np.maximum((until - t) / FINE, 0), 1)
         P = P + FINE * open_ * np.where(opens > 0, FILL * (1 - (P / SUPPLY) ** 4), -EMPTY * (P + 1e5) / 4e5)
         new, arms = _ropes(*q)
         if cause == "slip":
             new[0] -= amount * (t > slips)
-        state = np.clip(state + (new - contraction) / width, -1, 1)
+        state = np.minimum(np.maximum(state + (new - contraction) / width, -1), 1)
         contraction = new
         pulls = np.maximum(0.0, weaker * muscle.pull(new, P, False) - load(P) * (share * state).sum(axis=0))
         moment = np.einsum("amn,mn->an", arms, pulls)

@@ -8,7 +8,7 @@ import pytest
 from tests.outside.harness import Run, eventually, pmabench, regulator, write_bench
 from tests.reliability.cases import cases
 
-pytestmark = pytest.mark.realtime
+pytestmark = [pytest.mark.realtime, pytest.mark.singly]
 NAMES = (
     ("банк-1", "банк-2"), ("東", "西"), ("bench a", "bench-a"), ("Bench", "bench"), ("μ", "µ"), ("e\u0301", "é"),
     ("台", "台 "), ("..", "."), ("x" * 200 + "1", "x" * 200 + "2"), ("a/b", "a\\b"), ("😀", "😁"), ("con", "nul"),

@@ -16,7 +16,7 @@ from pmabench.store.reader import open_run
 from tests.engine.benches import mounted, one_trial
 from tests.realtime import plant_server
 
-pytestmark = pytest.mark.realtime
+pytestmark = [pytest.mark.realtime, pytest.mark.singly]
 
 
 @pytest.fixture
