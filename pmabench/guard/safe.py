@@ -207,7 +207,7 @@ class SafeState:
         self.away: set[str] = set()
         """Those of them whose device must be opened again."""
         self.refusing: set[str] = set()
-        """Targets whose device answers, and does not obey: it refused the command, holds something else or stays busy."""
+        """Targets whose device answers, and does not obey: it refused the command, stays busy, or holds another."""
         self.unmoved: set[str] = set()
         """Channels that have not fallen, or not come to rest, after all commands."""
         self.commands: list[SafeAction] = []
