@@ -20,6 +20,7 @@ from pmabench.analysis.verdict.acceptance import not_accepted, not_accepted_as_f
 from pmabench.analysis.verdict.agreement import KIND as AGREEMENT
 from pmabench.analysis.verdict.agreement import Offer, agreement, offers_of, side_by_side, without_diameter
 from pmabench.analysis.verdict.checks import repeats_of, with_checks, with_record, with_sessions
+from pmabench.analysis.verdict.repeated import repeated
 from pmabench.base.errors import UsageError, did_you_mean, invalid
 from pmabench.base.kind import Kind, load
 from pmabench.base.quantities import show
@@ -148,6 +149,7 @@ def _reduced(kind: str, runs: Sequence[RunData], options: Mapping[str, Any] | No
         analysis, runs, lambda others: record.part("reduction")(others, options),
         lambda run: [*_changes(record, run), *zero],
     )  # fmt: skip
+    analysis = replace(analysis, findings=(*analysis.findings, *repeated(runs)))
     return with_record(without_doubtful(analysis, runs), runs)
 
 
