@@ -1,7 +1,7 @@
 """Ultimate gain and period of the position loop: by a rising gain, a relay, or open-loop steps.
 
-- `reduction`: rising gain by `levels`; relay by `relay`; open-loop steps by `open_loop`, `open_loop_fit`,
-  `open_loop_response` (without a model);
+- `reduction`: rising gain by `levels`; relay by `relay`, `relay_gauge`; open-loop steps by `open_loop`,
+  `open_loop_fit`, `open_loop_response` (without a model);
   from a campaign of contractions by `model_gain`; comparison of these methods in `ways`
 - protocol files: `protocol`; one trial on the display: `reduction`
 """

@@ -24,6 +24,7 @@ from pmabench.analysis.shared.signals import HARMONICS, SEEN, extremes, mode_amp
 from pmabench.base.quantities import show
 from pmabench.kinds.ultimate_gain import ways
 from pmabench.kinds.ultimate_gain.open_loop_fit import balance
+from pmabench.kinds.ultimate_gain.relay_gauge import BETTER, gauge_of
 from pmabench.kinds.ultimate_gain.ways import (
     NOTHING,
     SYMBOLS,
@@ -88,6 +89,10 @@ class RelayLevel:
     """Third harmonic of the displacement over the first, its distance from the fitted loop's [1]."""
     left: float = nan
     """Distance of the pressure's harmonics from those of the fitted regulator, relative to the first [1]."""
+    gauge: tuple[float, float] = (0.0, 0.0)
+    """Filter of the gauge and its delay [s], of which one is not 0, if the displacement moves before the pressure."""
+    known: Pair = NOTHING
+    """K_u and T_u of the loop that is fitted with these."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,16 +214,16 @@ def _measure(
     loop, left = whole
     single = [_fit(t, x, P, switches, ups[i : i + 3], lag, hold) for i in range(0, count - 1, 2)]
     pair = Pair.of(loop, [ultimate(one[0]) for one in single if one is not None])
-    return replace(found, loop=loop, fitted=pair, shape=_shape_of(t, x, switches, ups, loop), left=left)
+    found = replace(found, loop=loop, fitted=pair, shape=_shape_of(t, x, switches, ups, loop), left=left)
+    s, (X, Q) = _harmonics(t, (x, P), ups, (lag.get("displacement", 0.0), lag.get("pressure", 0.0)))
+    gauge = gauge_of(s, X, Q)
+    again = _fit(t, x, P, switches, ups, lag, hold, gauge) if any(gauge) else None
+    return found if again is None else replace(found, gauge=gauge, known=Pair.of(again[0], []))
 
 
 ONE_LAG = 0.003
 """Distance of the pressure from that of one lag, relative to its first harmonic, from which on two lags, real or a
 complex pair, may be fitted. Noise makes 0.001.
-"""
-BETTER = 0.5
-"""Two lags are used if their residual (squared) is below this share of that of one lag; lags that differ between
-filling and venting do not reduce it that much.
 """
 ROOTS = (0.05, 0.1, 0.2)
 """Start values of the root of b, relative to the period."""
@@ -250,25 +255,23 @@ def _command_over(switches: Array, t0: float, t1: float, periods: int, harmonics
 
 
 def _fit(
-    t: Array, x: Array, P: Array, switches: Array, ups: Array, lag: Mapping[str, float], hold: float
-) -> tuple[Loop, float] | None:
+    t: Array, x: Array, P: Array, switches: Array, ups: Array, lag: Mapping[str, float], hold: float,
+    gauge: tuple[float, float] = (0.0, 0.0),
+) -> tuple[Loop, float] | None:  # fmt: skip
     """The loop from whole periods between `ups` [s]: command to pressure, and pressure to displacement, separately.
 
     P = exp(-L s)/(1 + a s + b s^2) U and P = (1 + tau s + beta s^2) X / k_g at the harmonics of the oscillation; sensor
-    lags are corrected. `hold` [s], half a sample period, is added to L for a sampled controller. Also the distance of
-    the pressure from the loop, relative to its first harmonic [1]. None where no such loop results.
+    lags are corrected, and a filter and a delay of the `gauge` [s]. `hold` [s], half a sample period, is added to L for
+    a sampled controller. Also the distance of the pressure from the loop, relative to its first harmonic [1]. None
+    where no such loop results.
     """
     t0, t1, periods = float(ups[0]), float(ups[-1]), len(ups) - 1
     at = (t >= t0) & (t < t1)
     if at.sum() < 8 * (HARMONICS + 1) * periods:
         return None
-    omega = 2 * pi * periods / (t1 - t0)
-    s = (1j * omega * np.arange(1, HARMONICS + 1)).astype(np.complex128)
     U = _command_over(switches, t0, t1, periods, HARMONICS)[1:]
-    X, Q = (
-        mode_amplitudes(t[at] - t0, y[at], 1j * omega)[1] * (1 + lag.get(name, 0.0) * s)
-        for name, y in (("displacement", x), ("pressure", P))
-    )
+    s, (X, Q) = _harmonics(t, (x, P), ups, (lag.get("displacement", 0.0), lag.get("pressure", 0.0)))
+    Q = Q * (1 + gauge[0] * s) * np.exp(gauge[1] * s)
     if not (np.all(np.isfinite(X)) and np.all(np.isfinite(Q))) or abs(X[0]) == 0 or abs(Q[0]) == 0:
         return None
     L, regulator_lags, left = _regulator(s, U, Q)
@@ -280,6 +283,19 @@ def _fit(
     lags = (*regulator_lags, *muscle_lags, *((sensor,) if sensor > 0 else ()))
     loop = oscillating(gain, float(max(0.0, L) + hold), lags)
     return None if loop is None else (loop, left)
+
+
+def _harmonics(
+    t: Array, signals: Sequence[Array], ups: Array, lags: Sequence[float]
+) -> tuple[ComplexArray, list[ComplexArray]]:
+    """The harmonics `s` [1/s] of the oscillation between `ups`, and their amplitudes in signals whose sensors have
+    `lags` [s].
+    """
+    t0, t1 = float(ups[0]), float(ups[-1])
+    at, omega = (t >= t0) & (t < t1), 2 * pi * (len(ups) - 1) / (t1 - t0)
+    s = (1j * omega * np.arange(1, HARMONICS + 1)).astype(np.complex128)
+    found = [mode_amplitudes(t[at] - t0, y[at], 1j * omega)[1] for y in signals]
+    return s, [one * (1 + lag * s) for one, lag in zip(found, lags, strict=True)]
 
 
 def _regulator(s: ComplexArray, U: ComplexArray, Q: ComplexArray) -> tuple[float, tuple[complex, ...], float]:
@@ -340,6 +356,9 @@ LEFT, MOST_LEFT = 0.02, 0.1
 """Residual of the pressure's harmonics from which on the regulator has another form (noise makes 0.006); and share of a
 value above which its effect withholds it.
 """
+FROM_GAUGE, MOST_GAUGE = 1.3, 0.1
+"""Factor on the difference that a filter or a delay of the gauge makes, and share of a value above which it withholds
+it."""
 FORM = {"K_u": 0.012, "T_u": 0.0045}
 """Relative half width for the form of the fitted loop, with equal damping in both directions."""
 UNLIKE, BEYOND = {"K_u": 0.08, "T_u": 0.035}, 0.2
@@ -411,7 +430,22 @@ def _doubts(trials: Sequence[RelayFound], symbol: str, value: float) -> list[Dou
         Doubt("form of the regulator", "method", OF_LEFT[symbol] * left**2 * value, left > LEFT, regulator, MOST_LEFT),
         Doubt("friction in the balance", "method", OF_FRICTION * rubs * value, rubs > RUBS, reason),
         Doubt("form of the loop", "method", OF_SHAPE * shape * value, seen=False),
+        _of_gauge(trials, symbol),
     ]
+
+
+def _of_gauge(trials: Sequence[RelayFound], symbol: str) -> Doubt:
+    """Effect of a gauge that is behind the displacement."""
+    place = [one for one, *_ in SYMBOLS].index(symbol)
+    levels = [trial.best for trial in trials if trial.best is not None and any(trial.best.gauge)]
+    changes = [abs(one.known.value[place] - one.fitted.value[place]) for one in levels]
+    late = max((sum(one.gauge) for one in levels), default=0.0)
+    reason = (
+        f"the displacement moves before the measured pressure does: the gauge has a filter or a delay of about "
+        f"{show(late, 'time', 2)}. Declare its `sensor_lag`, or take a quicker one"
+    )
+    half = FROM_GAUGE * max((one for one in changes if isfinite(one)), default=0.0)
+    return Doubt("filter or delay of the gauge", "method", half, half > 0, reason, MOST_GAUGE)
 
 
 def _method_part(cell: RelayCell, place: int) -> float | None:
