@@ -252,8 +252,8 @@ def coverage(count, seed, cases):
     return np.mean(held)
 
 
-def test_intervals_hold_the_truth_as_often_as_they_say_in_forty_fits():
-    assert 0.90 <= coverage(40, 11, CASES[:2]) <= 0.99
+def test_intervals_hold_the_truth_as_often_as_they_say_in_twenty_fits():
+    assert 0.90 <= coverage(20, 11, CASES[:2]) <= 0.99
 
 
 @pytest.mark.study

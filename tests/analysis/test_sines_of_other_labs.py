@@ -133,8 +133,8 @@ def in_steps(trial, begin=0.0, **steps):
 
 
 @pytest.mark.parametrize(("steps", "begin"), [
-    ({"displacement": 1e-4}, 0.05), ({"displacement": 1e-4}, 0.4), ({"displacement": 1e-4}, 0.7),
-    ({"force": 5.0}, 0.4), ({"displacement": 1e-4, "force": 2.0}, 0.7),
+    ({"displacement": 1e-4}, 0.05), ({"displacement": 1e-4}, 0.4), ({"force": 5.0}, 0.4),
+    ({"displacement": 1e-4, "force": 2.0}, 0.7),
 ])  # fmt: skip
 def test_the_steps_of_the_channels_are_in_the_intervals(steps, begin):
     """A displacement in steps of 0.1 mm along 1 mm."""

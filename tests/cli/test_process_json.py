@@ -8,6 +8,7 @@ import math
 import subprocess
 import sys
 from dataclasses import replace
+from operator import is_
 from pathlib import Path
 
 import numpy as np
@@ -139,7 +140,7 @@ def test_process_prints_strict_json_and_nothing_else(runs, tmp_path):
 def _held(trial, *names):
     """The trial with these channels (or all) at the value that they begin with."""
     held = {n: np.full(len(v), v[0] if len(v) else 0.0) for n, v in trial.channels.items() if not names or n in names}
-    return replace(trial, channels={**trial.channels, **held})
+    return replace(trial, channels={**trial.channels, **held}) if held else trial
 
 
 def _cut(trial, share):
@@ -176,6 +177,8 @@ def test_broken_runs_of_every_kind_are_strict_json_without_a_warning(runs, fault
         else:
             trials = [run.trials[:1] if fault == "one trial" else ()]
         for some in trials:
+            if len(some) == len(run.trials) and all(map(is_, some, run.trials)):
+                continue  # it has no such channel, or one trial only: the sound run, which `process` had above
             broken = replace(run, trials=some)
             analyses = reduce_runs([broken])
             reasons = verdicts([broken], analyses)
