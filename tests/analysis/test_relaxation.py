@@ -12,7 +12,9 @@ from scipy.signal import lfilter
 
 from pmabench.analysis.trial import Quick
 from pmabench.base.errors import InvalidFile
-from pmabench.kinds.relaxation.reduction import LINE, PRONY, Course, Relaxing, one_trial, reduce
+from pmabench.kinds.relaxation.course import Course
+from pmabench.kinds.relaxation.reduction import LINE, PRONY, one_trial, reduce
+from pmabench.kinds.relaxation.relaxing import Relaxing
 from pmabench.store.reader import open_run
 from pmabench.store.records import Command, TrialData
 from tests.analysis.driven_runs import planned, recorded

@@ -1,7 +1,8 @@
 """A step to a pressure at a set contraction, held for minutes: relaxation of the rubber.
 
-- `reduction`: one trial, with a straight line over log t, exponentials and their noise; then all trials of a point;
-  figure and one trial on the display
+- `relaxing`: the force after a step, with a straight line over log t, exponentials and their noise
+- `course`: one trial, and what else than the rubber may have changed its force
+- `reduction`: all trials of a point; figure and one trial on the display
 - protocol files: `protocol`
 """
 
