@@ -114,17 +114,17 @@ def _prony(at: Mapping[str, float], group: Sequence[Course], scales: Scales) -> 
     fits, level = [one.relaxing.prony for one in group], float(np.mean([one.start for one in group]))
     begin, end = (group[0].relaxing.t[i] for i in (0, -1))
     for i, T in enumerate(TIMES, 1):
-        size, parts = None, Parts()
+        size, parts, doubts = None, Parts(), list[Doubt]()
         note = f"the samples are from {begin:.3g} to {end:.3g} s after the step and do not show {show(T, 'time')}"
         if all(one.relaxing.shows(T) for one in group):
             values = [sizes[i] / one.start for (sizes, _, _), one in zip(fits, group, strict=True)]
-            noise = [halves[i] / one.start for (_, halves, _), one in zip(fits, group, strict=True)]
+            noise = [halves[i] / one.start for (_, _, halves), one in zip(fits, group, strict=True)]
             size, note = float(np.mean(values)), ONE if len(group) == 1 else ""
             parts = Parts(half_of_trials(values, noise), calibration=scales.part({}, {"force": size / level}))
-        found.append(
-            Estimate("g", size, "1", "ratio", PRONY, dict(at), parts, len(group), note=note, trials=names,
-                     coordinate=show(T, "time"))
-        )  # fmt: skip
+            doubts = _largest([one.doubts_of_share(i) for one in group])
+        g = Estimate("g", size, "1", "ratio", PRONY, dict(at), parts, len(group), note=note, trials=names,
+                     coordinate=show(T, "time"))  # fmt: skip
+        found.append(weighed(g, doubts, max(LEAST, abs(size or 0.0))))
     return found
 
 

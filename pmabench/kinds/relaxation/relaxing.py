@@ -95,43 +95,47 @@ class Relaxing:
         slope = float(self.slope_weights() @ self.y)
         return float(self.means(self.y).mean() - slope * self.decades.mean()), slope
 
-    def _correlation(self, order: int) -> tuple[Array, float]:
-        """Autocovariance of the noise by lag, and the number of independent samples.
+    def by_line(self, t: Array) -> Array:
+        """The straight line's part that changes, at times t [s, as y]."""
+        return np.asarray(self.line[1] * np.log10(t))
 
-        Noise is the residual of a polynomial of `order` over log t. Lags are tapered (Bartlett).
+    def by_exponentials(self, t: Array) -> Array:
+        """The exponentials' part that changes, at times t [s, as y]."""
+        return np.asarray(sum(size * np.exp(-t / T) for size, T in zip(self.prony[0][1:], TIMES, strict=True)))
+
+    def residual(self, order: int) -> Array:
+        """What a polynomial of `order` over log t leaves of the samples (n,)."""
+        return np.asarray(self.y - np.polyval(np.polyfit(self.decades, self.means(self.y), order), np.log10(self.t)))
+
+    def half(self, weights: Array, noise: Array | None = None) -> float:
+        """Half width of the 95 % interval of the sum of `weights` (n,) and y, from its correlated `noise` (n,).
+
+        Noise is what a fit leaves, so a bend that the fit has not counts as noise: by default the straight line. Lags
+        of its autocovariance are tapered (Bartlett).
         """
-        left = self.y - np.polyval(np.polyfit(self.decades, self.means(self.y), order), np.log10(self.t))
-        n, most = len(left), max(1, int(LONGEST_LAG * len(self.t)))
-        tapered = autocorrelation(left, most) / n * (1 - np.arange(most + 1) / (most + 1))
-        total = tapered[0] + 2 * float(np.sum(tapered[1:]))
-        alike = max(1.0, total / tapered[0]) if tapered[0] > 0 else 1.0
-        return tapered, n / alike
-
-    def half(self, weights: Array, order: int = 1) -> float:
-        """Half width of the 95 % interval of the sum of `weights` (n,) and y, from its correlated noise.
-
-        Noise is the residual of the straight line, so it includes a bend; with `order` 3 it does not.
-        """
-        covariance, independent = self._correlation(order)
-        own = autocorrelation(weights, len(covariance) - 1)
+        left = self.residual(1) if noise is None else noise
+        n, most = len(left), max(1, int(LONGEST_LAG * len(left)))
+        covariance = autocorrelation(left, most) / n * (1 - np.arange(most + 1) / (most + 1))
+        total = covariance[0] + 2 * float(np.sum(covariance[1:]))
+        independent = n / (max(1.0, total / covariance[0]) if covariance[0] > 0 else 1.0)
+        own = autocorrelation(weights, most)
         variance = own[0] * covariance[0] + 2 * float(own[1:] @ covariance[1:])
         white = own[0] * covariance[0]
         return float(student.ppf(0.975, max(independent - 2, 2))) * sqrt(max(variance, white, 0.0))
 
     @cached_property
-    def prony(self) -> tuple[Array, Array, float]:
-        """Constant and sizes of exponentials of `TIMES` (5,), their half widths (5,), and the rms residual [y].
+    def prony(self) -> tuple[Array, Array, Array]:
+        """Constant and sizes of exponentials of `TIMES` (5,), the samples' weights in each (5, n), half widths (5,).
 
-        The half widths ignore the bound at 0; inf for a term that the samples do not show.
+        Weights and half widths are those of all five together, without the bound at 0: a term that the samples do not
+        show, or that is at its bound, takes from the others what the samples cannot tell apart.
         """
-        design = np.column_stack([np.ones(len(self._count)), *(self.means(np.exp(-self.t / T)) for T in TIMES)])
-        sizes, left = nnls(design, self.means(self.y))
-        shown = [0, *(1 + i for i, T in enumerate(TIMES) if self.shows(T))]
-        inverse = np.linalg.pinv(design[:, shown])
-        halves = np.full(len(TIMES) + 1, np.inf)
-        for row, term in zip(inverse, shown, strict=True):
-            halves[term] = self.half(self._of_parts(row))
-        return np.asarray(sizes), halves, float(left) / sqrt(len(self._count))
+        terms = np.vstack([np.ones_like(self.t), *(np.exp(-self.t / T) for T in TIMES)])
+        design = np.column_stack([self.means(term) for term in terms])
+        sizes, _ = nnls(design, self.means(self.y))
+        rows = np.array([self._of_parts(row) for row in np.linalg.pinv(design)])
+        noise = self.y - sizes @ terms
+        return np.asarray(sizes), rows, np.array([self.half(row, noise) for row in rows])
 
     def shows(self, T: float) -> bool:
         """Whether the time constant T [s] of an exponential lies within the samples."""
