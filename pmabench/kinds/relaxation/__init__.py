@@ -22,8 +22,8 @@ METHODS = {
     ),
     "relaxation, Prony": (
         "F = F_1 [g_0 + Σ g_j exp(−t/T_j)] with T_j of 1, 10, 100 and 1000 s, non-negative least squares through the "
-        "same means. Time constants that the hold does not show are withheld. The interval is that of all terms together, "
-        "from what the exponentials leave of the samples, so it is wide where the muscle relaxes otherwise."
+        "same means. Time constants that the hold does not show are withheld. The interval is that of all terms "
+        "together, from what the exponentials leave of the samples: wide where the muscle relaxes otherwise."
     ),
 }
 PHASES, POINT = (("to the highest", "step"), ("any", "vent")), (("contraction", "length"), ("pressure", "highest"))
