@@ -1,7 +1,9 @@
 """A step to a pressure at a set contraction, held for minutes: relaxation of the rubber.
 
-- `reduction`: one trial, with a straight line over log t, exponentials and their noise; then all trials of a point;
-  figure and one trial on the display
+- `relaxing`: the force after a step, with a straight line over log t, exponentials and their noise
+- `vented`: what the cell reads before and after the hold: its zero, and the muscle's own recovery
+- `course`: one trial, and what else than the rubber may have changed its force
+- `reduction`: all trials of a point; figure and one trial on the display
 - protocol files: `protocol`
 """
 
@@ -20,7 +22,8 @@ METHODS = {
     ),
     "relaxation, Prony": (
         "F = F_1 [g_0 + Σ g_j exp(−t/T_j)] with T_j of 1, 10, 100 and 1000 s, non-negative least squares through the "
-        "same means. Time constants that the hold does not show are withheld."
+        "same means. Time constants that the hold does not show are withheld. The interval is that of all terms "
+        "together, from what the exponentials leave of the samples: wide where the muscle relaxes otherwise."
     ),
 }
 PHASES, POINT = (("to the highest", "step"), ("any", "vent")), (("contraction", "length"), ("pressure", "highest"))
