@@ -15,6 +15,7 @@ from math import hypot, pi, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
+from pmabench.analysis.shared.gaps import GAP, highest, reached
 from pmabench.analysis.shared.samples import Held, left, noise_of
 from pmabench.base.quantities import show
 from pmabench.store.analyses.results import Finding
@@ -279,8 +280,6 @@ PART = 0.02
 LONGEST, FADES = 1e3, 0.5
 """A motion in the window is extrapolated over the logarithm of time until the first [s], where its slope over that is
 more than the second share of the slope before: muscles creep so."""
-GAP, SLOPE = 3.0, 3
-"""Time between samples, over the usual one, from which on samples are missing; samples for the slope next to it."""
 STICKS = 0.3
 """Share of the time at rest from which on a cycle is stick-slip."""
 
@@ -373,14 +372,21 @@ def respond(
     noise, place = noise_of(x[inside]), smooth(t, x, lag)
     at, rest = place.y, SURE * noise * place.gain + 0.5 * resolution
 
-    def settled(limit: float) -> float | None:
-        outside = np.flatnonzero(np.abs(at - setpoint) > limit)
-        return 0.0 if not len(outside) else float(t[outside[-1] + 1]) if outside[-1] + 1 < len(t) else None
+    top, bottom = _hidden(t, x - origin, step, period)
+    apart = np.abs(at - setpoint)
+
+    def settled(limit: float, apart: Array = apart, *, early: bool = False) -> float | None:
+        outside = np.flatnonzero(apart > limit)
+        if not len(outside) or outside[-1] + 1 == len(t):
+            return None if len(outside) else 0.0
+        last, then = (float(t[outside[-1] + more]) for more in (0, 1))
+        return last + period if early and then - last > GAP * period else then
 
     smallest = max(SEEN * noise * max(1.0, place.gain), 2 * resolution, SMALLEST * setpoint)
     cycle, wander = cycle_of(t[inside], x[inside], smallest, lag), float(np.ptp(at[inside]))
-    rise, open_ = _rise(t, at - origin, step, rest)
-    near, wide = settled(band * step - rest), settled(band * step + rest)
+    rise, open_ = _rise(t, at - origin, top, step, rest)
+    near = settled(band * step - rest, np.maximum(apart, np.maximum(top - step, bottom + step)))
+    wide = settled(band * step + rest, early=True)
     # noise of standard deviation s about rest makes |x| larger by 0.8 s, and by nothing far from it
     rectified = sqrt(2 / pi) * noise * place.gain * period * float(np.sum(np.abs(at - setpoint) < rest))
     further = left([Held.of(t[inside], x[inside], float(window[0]))])
@@ -390,7 +396,7 @@ def respond(
         error = max(further.most, wander if wander > smallest else 0.0)
     unsure = Unsure(
         rise=hypot(period + SMOOTHED / 2, *open_),
-        overshoot=rest / step + max(0.0, _in_gaps(t, x, period) - float(x.max())) / step,
+        overshoot=rest / step + max(0.0, float(top.max() - max(x.max() - origin, step))) / step,
         settling=period + (near - wide if near is not None and wide is not None else 0.0),
         IAE=rectified,
         size=2 * rest + 2 * PART * (0.0 if cycle is None else cycle.size),
@@ -406,20 +412,6 @@ def respond(
     return Response(rise, overshoot, settling, off, IAE, cycle, wander, smallest, unsure)
 
 
-def _in_gaps(t: Array, x: Array, period: float) -> float:
-    """Highest place [m] that a motion may have reached where samples are missing; -inf where it turned in no gap.
-
-    A motion that slows down and comes back stays below the lines with the slopes that it has before and after.
-    """
-    highest = -np.inf
-    for k in np.flatnonzero(np.diff(t[SLOPE:-SLOPE]) > GAP * period) + SLOPE:
-        up, down = (float((x[b] - x[a]) / (t[b] - t[a])) for a, b in ((k - SLOPE, k), (k + 1, k + 1 + SLOPE)))
-        if up > 0 > down:
-            since = (x[k + 1] - x[k] - down * (t[k + 1] - t[k])) / (up - down)
-            highest = max(highest, float(x[k] + up * max(since, 0.0)))
-    return highest
-
-
 def _creep(t: Array, x: Array, window: tuple[float, float]) -> float:
     """Possible further motion over the logarithm of time [m]; 0 where the motion decays faster."""
 
@@ -433,21 +425,26 @@ def _creep(t: Array, x: Array, window: tuple[float, float]) -> float:
     return inside * max(0.0, float(np.log(LONGEST / np.mean(window))))
 
 
-def _rise(t: Array, x: Array, step: float, rest: float) -> tuple[float | None, list[float]]:
+def _hidden(t: Array, x: Array, step: float, period: float) -> tuple[Array, Array]:
+    """`highest` of a motion `x` from 0 at t = 0 to `step`, and of -x, shape (n,)."""
+    turns = int(np.argmax(np.append(0.0, x) >= 0.5 * step))  # until there it may speed up
+    t, x = np.append(0.0, t), np.append(0.0, x)
+    return highest(t, x, period, turns)[1:], highest(t, -x, period, 0)[1:]
+
+
+def _rise(t: Array, x: Array, top: Array, step: float, rest: float) -> tuple[float | None, list[float]]:
     """Rise time from 10 to 90 % of the step [s] and the uncertainty of both times [s]; None where 90 % is not certain.
 
     The uncertainty is the time between passing one standard deviation (a third of `rest`) below and above a level.
+    `top`: what `x` may have reached where samples are missing.
     """
-
-    def reached(level: float) -> float | None:
-        rows = np.flatnonzero(x >= level)
-        return float(t[rows[0]]) if len(rows) else None
-
-    low, high = reached(0.1 * step), reached(0.9 * step)
-    if low is None or high is None or reached(0.9 * step + rest) is None:
+    if not np.any(x >= 0.9 * step + rest):
         return None, []
-    ends = [[reached(share * step + more / SURE) or 0.0 for more in (-rest, rest)] for share in (0.1, 0.9)]
-    return high - low, [late - early for early, late in ends]
+    period = float(np.median(np.diff(t)))
+    low, high = (
+        [reached(t, x, top, share * step + more / SURE, period) for more in (-rest, 0.0, rest)] for share in (0.1, 0.9)
+    )
+    return high[1][1] - low[1][1], [latest[2] - earliest[0] for earliest, _, latest in (low, high)]
 
 
 def cycle_of(t: Array, x: Array, smallest: float, lag: float = 0.0) -> Cycle | None:

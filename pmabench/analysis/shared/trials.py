@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from math import inf
 from typing import Any, Generic, TypeVar
 
 import numpy as np
 
 from pmabench.analysis.imported import in_time
 from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.shared.gaps import UNSEEN
 from pmabench.analysis.shared.samples import NotUsable
 from pmabench.analysis.shared.student import mean_with_half
 from pmabench.base.kind import Result
 from pmabench.base.quantities import show
-from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
+from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, Trace, withhold
 from pmabench.store.records import Array, RunData, TrialData
 
 Members = list[tuple[RunData, TrialData]]
@@ -160,11 +162,13 @@ def mean_of_trials(
 ) -> Estimate:  # fmt: skip
     """Mean of one value per trial, with the half width from their scatter; `kind` is unit and quantity.
 
-    `extra` is the method part. `once` is the note for a single trial, `more` any other note.
+    `extra` is the method part, inf where missing samples hide the value. `once` is the note for a single trial, `more`
+    any other note.
     """
     mean, half = mean_with_half(values)
     note, parts = sentences(once if half is None else "", more), Parts(half, extra, calibration)
-    return Estimate(symbol, mean, *kind, method, at, parts, len(values), note=note, trials=trials)
+    e = Estimate(symbol, mean, *kind, method, at, parts, len(values), note=note, trials=trials)
+    return withhold(e, UNSEEN) if extra == inf else e
 
 
 DOUBTED = 0.02

@@ -50,8 +50,13 @@ STEPS_OF_ONE = "one trial: the repeats part is the scatter of its steps, and rep
 ONE_STEP = "no repeats part: one step"
 DRIFTS = 0.02
 """Change of the force still to come after a rest, as a share of its step, from which on it is a doubt."""
+STIFFNESS, SLOPE = ("N/m", "stiffness"), {"force": 1, "displacement": -1}
+"""Unit and quantity of K, and the powers with which the gains of the channels enter it."""
 BLUNT = 0.25
 """Effect of a filter on a peak, as a share of its rise, above which the peak is withheld."""
+FIRST = 4.0
+"""What a filter takes off a peak, over what a second one takes off, which finds it round: where the first is slow, the
+record does not show its size, and already a small effect withholds."""
 SEVERAL = 0.4
 """Largest relative difference of the later part's time constant for a single exponential."""
 UNTURNED = 0.05
@@ -90,7 +95,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             here = {**at, "step": (-1.0 if back else 1.0) * at.get("step", 0.0)}
             each = [member.back if back else member.there for member in group]
             way = Way(here, group, each, result.scales, rubbed[_place(at)])
-            result.estimates += [*way.forces(), *way.times()]
+            result.estimates += [*way.forces(), *map(way.if_not_missed, way.peaks()), *way.times()]
         result.findings += _findings(group)
         result.traces.append(_trace(at, group[0]))
     result.estimates.sort(key=lambda e: (RELAXED, PEAK, BACK).index(e.method))
@@ -164,44 +169,44 @@ class Way:
                      trials=names, coordinate=coordinate)  # fmt: skip
         return weighed(e, [*doubts, *(force_from_cycle_to_cycle(values) if symbol == "F" else ())])
 
-    def forces(self) -> list[Estimate]:
-        """K, forces, and the pressure's largest error."""
-        every, moved = self.every, self.moved
-        extreme = hypot(EXTREME * max(one.noise for one in every), max(one.sampled for one in every))
+    def over_way(self, *doubts: Doubt) -> list[Doubt]:
+        """Doubts about a force [N] as ones about a stiffness [N/m]."""
+        return [replace(one, half=one.half / self.moved) for one in doubts]
+
+    def forces(self) -> Iterator[Estimate]:
+        """K and forces at rest."""
+        every, kind = self.every, ("N", "force")
         before, after = (_still_moving([getattr(one, name) for one in every]) for name in ("earlier", "later"))
-        blunt, rub = _blunt(every), Doubt(RUBBED, "method", self.rubbed, seen=True)
-        stiffness, newton, slope = ("N/m", "stiffness"), ("N", "force"), {"force": 1, "displacement": -1}
-        static, peak = ([getattr(one, name) for one in every] for name in ("static", "instant"))
-
-        def over(*doubts: Doubt) -> list[Doubt]:
-            return [replace(one, half=one.half / moved) for one in doubts]
-
-        at_rest = over(before, after, self.off_pressure((-1, 1)), rub, self.of_steps(float(np.mean(static))))
-        found = [
-            self.estimate("K", stiffness, RELAXED, static, slope, note=AT_LEAST, doubts=at_rest),
-            self.estimate("K", stiffness, PEAK, peak, slope, extreme / moved, note=RUBS,
-                          doubts=over(before, replace(blunt, most=BLUNT), self.of_steps(float(np.mean(peak))))),
-        ]  # fmt: skip
+        rub, static = Doubt(RUBBED, "method", self.rubbed, seen=True), [one.static for one in every]
+        at_rest = (before, after, self.off_pressure((-1, 1)), rub, self.of_steps(float(np.mean(static))))
+        yield self.estimate("K", STIFFNESS, RELAXED, static, SLOPE, note=AT_LEAST, doubts=self.over_way(*at_rest))
         once, half_rub = self.of_steps(0.0, 1.0), replace(rub, half=rub.half / 2)
         for name, rests, doubt in (("before", (1, 0), before), ("relaxed", (0, 1), after)):
             values = [getattr(one, name) for one in every]
             doubts = (doubt, self.off_pressure(rests), half_rub, once)
-            found.append(
-                self.estimate("F", newton, RELAXED, values, {"force": 1}, 0.0, name, doubts, "friction is in it")
-            )
-        peaks = [one.peak for one in every]
-        found.append(self.estimate("F", newton, PEAK, peaks, {"force": 1}, extreme, "peak", (blunt, once)))
-        if all(np.isfinite(one.pressure_peak) for one in every):
-            leap = hypot(EXTREME * max(one.pressure_noise for one in every), self.read("pressure"))
-            errors = [one.pressure_peak for one in every]
-            found.append(self.estimate("P_err", ("Pa", "pressure"), PEAK, errors, {"pressure": 1}, leap))
-        return [self._if_not_missed(e) for e in found]
+            yield self.estimate("F", kind, RELAXED, values, {"force": 1}, 0.0, name, doubts, "friction is in it")
 
-    def _if_not_missed(self, e: Estimate) -> Estimate:
-        """The estimate, withheld if it is a peak and its channel is updated too seldom to show one."""
+    def peaks(self) -> Iterator[Estimate]:
+        """K and force at the peak, and the pressure's largest error."""
+        every, instant = self.every, [one.instant for one in self.every]
+        extreme = hypot(EXTREME * max(one.noise for one in every), max(one.sampled for one in every))
+        before, hidden = _still_moving([one.earlier for one in every]), _hidden(every, "force")
+        doubts = self.over_way(before, *hidden, self.of_steps(float(np.mean(instant))))
+        yield self.estimate("K", STIFFNESS, PEAK, instant, SLOPE, extreme / self.moved, note=RUBS, doubts=doubts)
+        forces = [one.peak for one in every]
+        share = abs(float(np.mean(instant))) * self.moved / max(abs(float(np.mean(forces))), 1e-9)
+        doubts = [*(replace(one, most=share * one.most) for one in hidden), self.of_steps(0.0, 1.0)]
+        yield self.estimate("F", ("N", "force"), PEAK, forces, {"force": 1}, extreme, "peak", doubts)
+        if all(np.isfinite(one.pressure_peak) for one in every):
+            errors, doubts = [one.pressure_peak for one in every], _hidden(every, "pressure")
+            leap = hypot(EXTREME * max(one.pressure_noise for one in every), self.read("pressure"))
+            yield self.estimate("P_err", ("Pa", "pressure"), PEAK, errors, {"pressure": 1}, leap, doubts=doubts)
+
+    def if_not_missed(self, e: Estimate) -> Estimate:
+        """The estimate of a peak, withheld if its channel is updated too seldom to show one."""
         channel = "pressure" if e.symbol == "P_err" else "force"
         time = max(one.missed.get(channel, 0.0) for one in self.every)
-        if e.method != PEAK or not time:
+        if not time:
             return e
         often = f"the {channel} is new every {show(time, 'time', 2)}, which is longer than the step takes, and held in"
         return withhold(e, f"{often} between: its peak may lie there. Read it more often, or step more slowly")
@@ -277,15 +282,24 @@ def _one_time(tau: Estimate, apart: float) -> Estimate:
     return replace(tau, parts=Parts(tau.parts.repeats, hypot(TAIL * value, apart)), note=note)
 
 
-def _blunt(every: Sequence[Relaxation]) -> Doubt:
-    """Possible reduction of the peaks by a filter of the force cell [N], which no channel shows."""
-    constant = max(max(one.filter, one.fast) for one in every)
-    half = max(one.blunted for one in every)
-    text = f"a filter of the force cell of {show(constant, 'time', 2)} would take {show(half, 'force', 2)} off the peak"
-    reason = f"{text}: declare the `sensor_lag` of the channel, use a faster cell, or step more slowly"
-    peak, before = (float(np.mean([getattr(one, name) for one in every])) for name in ("peak", "before"))
-    most = BLUNT * abs(peak - before) / max(abs(peak), 1e-9)
-    return Doubt("filter of the force cell", "method", half, True, reason, most)
+SENSOR = {"force": "force cell", "pressure": "gauge"}
+
+
+def _hidden(every: Sequence[Relaxation], channel: str) -> list[Doubt]:
+    """Possible reduction of the peaks of a channel by a filter that no channel shows, and by missing samples [SI]."""
+    half, unseen = (max(getattr(one, name)[channel] for one in every) for name in ("blunted", "unseen"))
+    goes_on, constant = max(one.after[channel] for one in every), max(one.constant(channel) for one in every)
+    most, filter_ = BLUNT, f"filter of the {SENSOR[channel]}"
+    text = f"a {filter_} of {show(constant, 'time', 2)}"
+    if goes_on:
+        half, most = FIRST * half, MOST_HIDDEN
+        text = f"the {channel} goes on for {show(goes_on, 'time', 2)} after the motion, as behind a {filter_}, which"
+    text = f"{text} would take {show(half, channel, 2)} off the peak: declare the `sensor_lag` of the channel, use a"
+    missing = f"samples of the {channel} are missing at the end of a step, where its peak is: measure again, without"
+    return [
+        Doubt(filter_, "method", half, True, f"{text} faster sensor, or step more slowly", most),
+        Doubt("missing samples", "method", unseen, True, f"{missing} gaps", BLUNT),
+    ]
 
 
 def _still_moving(rests: Sequence[Held]) -> Doubt:

@@ -14,6 +14,7 @@ from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
 
 from pmabench.analysis.shared import samples
+from pmabench.analysis.shared.gaps import highest
 from pmabench.analysis.shared.lines import left_by
 from pmabench.analysis.shared.samples import UNDECLARED, Held, NotUsable, ends, lags_of, noise_of
 from pmabench.store.records import Array, Command, RunData, TrialData
@@ -28,6 +29,8 @@ FEWEST = 8
 """Samples that a recovery needs within three time constants."""
 LAGS = 6.0
 """Lags of a sensor after which its effect has decayed, and up to which a recovery may be caused by it."""
+GOES_ON = 3.0
+"""Lags of a sensor for which it goes on after a motion: ln(1 + slope of the way / slope of the way back)."""
 SAME = 0.4
 """Largest relative difference of the time constants of force and pressure if one causes the other."""
 
@@ -59,8 +62,14 @@ class Relaxation:
     """Force in the second half of the rest after [N]."""
     filter: float
     """Time constant of the force cell's filter [s]: declared, or assumed if undeclared."""
-    blunted: float
-    """Change of the peak by such a filter, or by one as slow as the recovery (`fast`) [N]."""
+    after: Mapping[str, float]
+    """Channel -> time for which it goes on away after the measured motion, if that is longer than its filter explains
+    [s]: one that nobody declared, or a delay; else 0.
+    """
+    blunted: Mapping[str, float]
+    """Channel -> change of its peak by a filter as slow as `filter`, the recovery (`fast`) or `after` [SI]."""
+    unseen: Mapping[str, float]
+    """Channel -> height that its peak may have above the samples because some are missing [SI]; inf if unknown."""
     sampled: float
     """Change of the force in the sample interval before its peak [N], by which the actual peak may exceed it."""
     pressure_peak: float
@@ -89,6 +98,10 @@ class Relaxation:
             return 0.0
         shown = pressure is not None and abs(back.tau - pressure.tau) < SAME * pressure.tau
         return 0.0 if shown else back.tau
+
+    def constant(self, channel: str) -> float:
+        """Largest time constant that a filter of a channel may have [s]; 0 for none."""
+        return max(self.after[channel], *((self.filter, self.fast) if channel == "force" else (0.0,)))
 
     @property
     def static(self) -> float:
@@ -171,7 +184,8 @@ def _one(
     if abs(moved) <= 6 * noise_of(x[rest]) or moved == 0:
         raise NotUsable("the displacement does not move above its noise")
     away = F[moving] - level
-    place = int(np.argmax(-np.sign(moved) * away))
+    way = -np.sign(moved)
+    place = int(np.argmax(way * away))
     new = good & samples.fresh(trial.channels["force"])  # noise of a held value would look like a motion
     early = new & (t >= 0.5 * (begin + ramp.t)) & (t < ramp.t - 1e-9)
     late = new & (t >= 0.5 * (arrived + end)) & (t < end)
@@ -184,6 +198,8 @@ def _one(
     on_way = t[still] - t[still][0]
     off = P[moving] - float(P[before].mean())
     back = recovery(on_way, F[still])
+    peaks = {"force": way * away} | ({"pressure": np.abs(off)} if known else {})
+    lags, over = lags_of(run, trial), float(t[still][0])
     one = Relaxation(
         moved=moved,
         before=level,
@@ -191,8 +207,10 @@ def _one(
         relaxed=relaxed,
         earlier=Held.of(t[early], F[early], since),
         later=Held.of(t[late], F[late], until),
-        filter=lags_of(run, trial)["force"] or UNDECLARED,
-        blunted=0.0,
+        filter=lags["force"] or UNDECLARED,
+        after={name: _after(t[moving], y, over, lags[name] or UNDECLARED) for name, y in peaks.items()},
+        blunted={},
+        unseen={name: _unseen(t[moving], y, ramp.t, over) for name, y in peaks.items()},
         sampled=abs(float(away[place] - away[max(0, place - 1)])),
         pressure_peak=float(off[np.argmax(np.abs(off))]) if known else float("nan"),
         pressure_noise=noise_of(P[moving]) if known else 0.0,
@@ -206,15 +224,34 @@ def _one(
         },
         missed={},
     )
-    return replace(one, blunted=_blunted(t[moving], away, moved, max(one.filter, one.fast)))
+    return replace(one, blunted={name: _blunted(t[moving], y, one.constant(name)) for name, y in peaks.items()})
 
 
-def _blunted(t: Array, away: Array, moved: float, constant: float) -> float:
-    """Reduction of the peak by one more first-order filter; `t`, `away` of shape (n,)."""
+def _after(t: Array, y: Array, over: float, lag: float) -> float:
+    """Time from the end of the motion, at `over` [s], to the peak of `y` (n,); 0 if a filter of `lag` [s] does that."""
+    end, peak = int(np.searchsorted(t, over)), int(np.argmax(y))
+    rises = float(y[peak] - y[max(0, end - 2) : end + 3].mean()) > SEEN * noise_of(y)
+    time = float(t[peak]) - over
+    return time if rises and time > GOES_ON * lag else 0.0
+
+
+def _unseen(t: Array, y: Array, begin: float, over: float) -> float:
+    """Height above the samples of a peak of `y` (n,) from 0 at `begin`, where samples are missing; inf if unknown.
+
+    The motion, over at `over` [s], makes the peak: a gap across its end hides that.
+    """
+    t, y = np.append(begin, t), np.append(0.0, y)
+    top = highest(t, y, float(np.median(np.diff(t))), int(np.searchsorted(t, over)))
+    return max(0.0, float(top.max() - y.max()))
+
+
+def _blunted(t: Array, y: Array, constant: float) -> float:
+    """Reduction of the peak of `y` (n,) at `t` (n,) by one more first-order filter; 0 for none."""
+    if constant <= 0:
+        return 0.0
     keep = float(np.exp(-np.median(np.diff(t)) / constant))
-    slower = np.asarray(lfilter([1 - keep], [1, -keep], away - away[0]) + away[0])
-    way = -np.sign(moved)
-    return abs(float(np.max(way * away) - np.max(way * slower)))
+    slower = np.asarray(lfilter([1 - keep], [1, -keep], y - y[0]) + y[0])
+    return abs(float(np.max(y) - np.max(slower)))
 
 
 def recovery(t: Array, y: Array) -> Recovery | None:
