@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
+from pmabench.base.dataclass import dataclass
 from pmabench.store.records import Array
 
 DRIFT = 0.02

@@ -6,9 +6,11 @@ holds what the importer of foreign files needs.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from importlib import import_module
 from typing import Any
+
+from pmabench.base.dataclass import dataclass
 
 
 @dataclass(frozen=True)

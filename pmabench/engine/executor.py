@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from math import isfinite
 from typing import Any
 
 import numpy as np
 
 from pmabench.base.clock import Clock
+from pmabench.base.dataclass import dataclass
 from pmabench.base.errors import Interrupted, LimitTripped, PmaError, VerdictFailed
 from pmabench.base.quantities import highest_pressure, show, without_number
 from pmabench.bench.interface import CompiledBench, Load
@@ -243,7 +244,7 @@ class Executor:
         self.acquisition.pass_time(step.longest())
 
     def _hold(self, step: Hold) -> None:
-        self.acquisition.pass_time(step.duration, self._load.watch())
+        self.acquisition.pass_time(step.duration, self._load.watch(), looks_only=True)
         verdict = self._load.verdict()
         if verdict is None:
             return
