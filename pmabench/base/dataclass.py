@@ -1,7 +1,7 @@
 """`dataclass` of the standard library, where frozen classes are made in a fraction of the time.
 
 The library compiles six methods for each frozen class, which takes 0.7 ms, and a command loads a hundred of them. Here
-only `__init__` is compiled; the other methods are the same functions for all classes.
+only `__init__` is compiled, for the first instance; the other methods are the same functions for all classes.
 """
 
 from __future__ import annotations
@@ -18,14 +18,19 @@ if TYPE_CHECKING:
 else:
 
     def dataclass(cls: type | None = None, /, *, frozen: bool = False, eq: bool = True, **options: Any) -> Any:
-        """As `dataclasses.dataclass`; a frozen class has no annotations on its `__init__`."""
+        """As `dataclasses.dataclass`; the signature of a frozen class is known from its first instance on."""
         if not frozen or options.keys() - {"kw_only"}:
             return dataclasses.dataclass(cls, frozen=frozen, eq=eq, **options)
 
         def made(cls: type) -> type:
             dataclasses.dataclass(init=False, repr=False, eq=False, **options)(cls)
+
+            def at_first(self: Any, *values: Any, **named: Any) -> None:
+                cls.__init__ = _initialiser(cls)
+                cls.__init__(self, *values, **named)
+
             methods = {
-                "__init__": _initialiser(cls),
+                "__init__": at_first,
                 "__repr__": _shown,
                 "__setattr__": _refuse,
                 "__delattr__": _refuse,
