@@ -264,7 +264,7 @@ def noise_seen(
 
     def typical(name: str) -> tuple[float, float]:
         k = (every or {}).get(name, 1)
-        known = [(one.ok, *rest) for one, *rest in _at_rest(stretches, still, name) if one.ok.any()]
+        known = [(one.ok, column, rows) for one, column, rows in _at_rest(stretches, still, name) if one.ok.any()]
         few = range(len(known)) if len(known) <= SHOW else [int(n * GOLDEN % 1 * len(known)) for n in range(SHOW)]
         widths = [_step(column if ok.all() else column[ok]) for ok, column, _ in map(known.__getitem__, few)]
         width = float(np.sqrt(k / 12.0)) * _median(widths)
