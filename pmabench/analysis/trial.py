@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import field
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from pmabench.base.dataclass import dataclass
 from pmabench.store.records import Array
 
 DRIFT = 0.02

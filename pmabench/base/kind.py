@@ -6,11 +6,9 @@ holds what the importer of foreign files needs.
 
 from __future__ import annotations
 
-from dataclasses import field
+from dataclasses import dataclass, field
 from importlib import import_module
 from typing import Any
-
-from pmabench.base.dataclass import dataclass
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,9 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from pmabench.base.dataclass import dataclass
 from pmabench.base.errors import InvalidFile, did_you_mean
 from pmabench.base.quantities import CHANNEL_QUANTITY, show
 from pmabench.bench import interface as b

@@ -9,11 +9,10 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from pmabench.base.dataclass import dataclass
 from pmabench.base.errors import InvalidFile, Problem
 from pmabench.bench.channels import NAME, aims, channels, numbers, outputs, valves
 from pmabench.bench.compilation import Compilation, known_places, unconfirmed

@@ -15,12 +15,11 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from pmabench.base.dataclass import dataclass
 from pmabench.base.errors import UsageError
 from pmabench.base.quantities import show, without_number
 from pmabench.bench.compile import Mounted

@@ -6,13 +6,13 @@ Plain numbers can be sent to another process and kept in a record; `pmabench.mod
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from fractions import Fraction
 from itertools import pairwise
 from math import cos, exp, isfinite, sin, sqrt, tan
 from pathlib import Path
 from typing import Any
 
-from pmabench.base.dataclass import dataclass
 from pmabench.base.errors import InvalidFile, Problem, did_you_mean
 from pmabench.base.quantities import show
 from pmabench.bench.files.plant import LAWS, ContractorFile, DaerdenFile, PlantFile, Polynomial, RealFile, Table

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import field
+from dataclasses import dataclass, field
 from functools import cached_property
 
-from pmabench.base.dataclass import dataclass
 from pmabench.base.quantities import in_words, show
 from pmabench.bench.compilation import Compilation
 from pmabench.bench.files.bench import SelfTestFile, SessionFile

@@ -9,6 +9,7 @@ import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from errno import EPIPE
 from functools import reduce, wraps
 from pathlib import Path
@@ -18,7 +19,6 @@ from typing import TYPE_CHECKING, Any, TextIO, cast
 
 import click
 
-from pmabench.base.dataclass import dataclass
 from pmabench.base.errors import InvalidFile, PmaError, RecordError, UsageError
 from pmabench.base.text import Spelled, in_ascii, raw, spelled
 from pmabench.cli.names import BENCH, PROTOCOL, SPECIMEN

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pmabench.base.dataclass import dataclass
 from pmabench.base.errors import InvalidFile, UsageError, invalid
 from pmabench.cli.common import Ui
 from pmabench.store.catalogue import ANALYSES, ANALYSIS, chain_of, holds_runs

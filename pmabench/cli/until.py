@@ -16,13 +16,13 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from textwrap import shorten, wrap
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from pmabench.base.dataclass import dataclass
 from pmabench.base.errors import PmaError, UsageError, did_you_mean
 from pmabench.base.kind import Kind, load
 from pmabench.base.quantities import in_words, show

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from math import floor
 from typing import Any
 
@@ -14,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.base.clock import Clock
-from pmabench.base.dataclass import dataclass
 from pmabench.base.errors import DeviceError, LimitRefused, LimitTripped, PmaError, RecordError
 from pmabench.bench.interface import Block, CompiledBench, Stream
 from pmabench.engine.commanded import Commanded

@@ -10,12 +10,12 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from math import ceil, floor, nan
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pmabench.base.dataclass import dataclass
 from pmabench.base.errors import DeviceError, LimitTripped, PmaError
 from pmabench.base.quantities import show
 from pmabench.bench.driver_options import HARDWARE, driver_version

@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.base.clock import Clock
-from pmabench.base.dataclass import dataclass
 from pmabench.guard import course
 
 if TYPE_CHECKING:

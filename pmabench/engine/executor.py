@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import field
+from dataclasses import dataclass, field
 from math import isfinite
 from typing import Any
 
 import numpy as np
 
 from pmabench.base.clock import Clock
-from pmabench.base.dataclass import dataclass
 from pmabench.base.errors import Interrupted, LimitTripped, PmaError, VerdictFailed
 from pmabench.base.quantities import highest_pressure, show, without_number
 from pmabench.bench.interface import CompiledBench, Load

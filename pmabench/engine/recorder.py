@@ -6,13 +6,12 @@ For a dry run there is one that keeps the peak values and the duration of each t
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.base.dataclass import dataclass
 from pmabench.base.errors import RecordError
 from pmabench.bench.interface import CompiledBench
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 import gc
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, suppress
-from dataclasses import asdict, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pmabench import __version__
 from pmabench.base.clock import RealClock, VirtualClock
-from pmabench.base.dataclass import dataclass
 from pmabench.base.errors import DeviceError, Interrupted, LimitTripped, RecordError, VerdictFailed
 from pmabench.base.quantities import show
 from pmabench.base.system import ENGINE, ordinary, real_time, user_name

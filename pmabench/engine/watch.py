@@ -5,12 +5,11 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.base.dataclass import dataclass
 from pmabench.base.quantities import CHANNEL_QUANTITY, show
 from pmabench.bench.interface import ChannelRecord, TripRecord
 from pmabench.engine.commanded import Commanded

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from pmabench.base.dataclass import dataclass
 from pmabench.base.errors import InvalidFile, Problem, did_you_mean
 from pmabench.base.quantities import in_words
 from pmabench.bench.compile import Mounted, mount

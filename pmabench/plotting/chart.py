@@ -12,13 +12,11 @@ Contains no page or result. Lengths are points of print (1/72 in).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import ceil, floor, isfinite, log10
 
 import numpy as np
 from numpy.typing import NDArray
-
-from pmabench.base.dataclass import dataclass
 
 Array = NDArray[np.float64]
 

@@ -6,14 +6,13 @@ Helpers that figures share: display units of traces, thinning, data tables. For 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.base.dataclass import dataclass
 from pmabench.plotting.chart import COLUMN, CROSSES, INK, Array, Chart, Series, in_words, stamped
 from pmabench.plotting.drawing import joined
 from pmabench.plotting.wording import COLUMNS, Frame, Shown, clean, shown

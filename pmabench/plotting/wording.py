@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from decimal import Decimal
 from functools import lru_cache
 from itertools import compress
 from math import floor, isfinite, log10
 from typing import Any
 
-from pmabench.base.dataclass import dataclass
 from pmabench.base.quantities import QUANTITIES
 from pmabench.base.text import clean as clean
 from pmabench.store.analyses.results import POINT_QUANTITIES

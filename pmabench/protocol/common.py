@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import field
+from dataclasses import dataclass, field
 from functools import cached_property
 from math import inf
 from pathlib import Path
@@ -16,7 +16,6 @@ from typing import Annotated, Any, ClassVar, Literal, get_args
 
 from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema
 
-from pmabench.base.dataclass import dataclass
 from pmabench.base.errors import Problem
 from pmabench.base.quantities import OF_A_MUSCLE, show
 from pmabench.bench.compile import Mounted

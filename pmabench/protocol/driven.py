@@ -10,9 +10,9 @@ For a joint of two muscles also the names of its pressures, the limits of its dr
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from math import ceil, cos, inf, pi, sin, tan
 
-from pmabench.base.dataclass import dataclass
 from pmabench.base.quantities import show
 from pmabench.bench.files.specimen import ExpectedFile
 from pmabench.files.document import Location

@@ -10,11 +10,9 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from typing import Any, ClassVar
-
-from pmabench.base.dataclass import dataclass
 
 HANDS_OUT = 3.0
 """Time without motion after hands were in the bench [s] (promise S8)."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 import random
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from itertools import groupby, product
 from math import prod
 from textwrap import wrap
@@ -15,7 +16,6 @@ from typing import Annotated, Any, Generic, Literal, TypeVar
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from pmabench.base.dataclass import dataclass
 from pmabench.base.errors import InvalidFile, Problem, UsageError
 from pmabench.base.quantities import show
 from pmabench.bench.files.specimen import ExpectedFile

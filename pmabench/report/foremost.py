@@ -10,12 +10,11 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import isfinite
 from textwrap import shorten, wrap
 from typing import TYPE_CHECKING
 
-from pmabench.base.dataclass import dataclass
 from pmabench.base.kind import Result
 from pmabench.base.quantities import show
 from pmabench.base.text import sparkline

@@ -10,10 +10,10 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pmabench.base.dataclass import dataclass
 from pmabench.base.errors import InvalidFile, PmaError, RecordError
 from pmabench.plotting.wording import POINTS, in_order, point_shown, shown, symbol_text
 from pmabench.report.files.csv_files import csv_text, plain_head, write_with_tables

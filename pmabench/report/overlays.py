@@ -6,12 +6,11 @@ Published values become an analysis of kind `published` and points in traces; th
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from pmabench.base.dataclass import dataclass
 from pmabench.base.errors import InvalidFile, Problem
 from pmabench.base.quantities import QUANTITIES
 from pmabench.kinds import registry

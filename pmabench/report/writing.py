@@ -15,12 +15,12 @@ import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pmabench import __version__
-from pmabench.base.dataclass import dataclass
 from pmabench.base.errors import RecordError
 from pmabench.base.text import clean
 from pmabench.store.analyses.folder import key_of

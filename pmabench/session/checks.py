@@ -8,9 +8,9 @@ makes every claim good, by evidence from both readings.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import combinations
 
-from pmabench.base.dataclass import dataclass
 from pmabench.base.errors import VerdictFailed
 from pmabench.base.quantities import show
 from pmabench.bench.compile import Mounted

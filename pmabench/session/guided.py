@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from pmabench.base.clock import RealClock, VirtualClock
-from pmabench.base.dataclass import dataclass
 from pmabench.base.errors import LimitRefused, UsageError, VerdictFailed, did_you_mean
 from pmabench.base.quantities import CHANNEL_QUANTITY, show
 from pmabench.bench.compile import Mounted

@@ -9,12 +9,11 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-from pmabench.base.dataclass import dataclass
 from pmabench.base.errors import PmaError, VerdictFailed
 from pmabench.base.quantities import CHANNEL_QUANTITY, in_words, show, without_number
 from pmabench.bench.compile import Mounted

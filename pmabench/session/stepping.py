@@ -7,12 +7,11 @@ described in the terms of ISO 10094, with the delay between two channels.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import sqrt
 
 import numpy as np
 
-from pmabench.base.dataclass import dataclass
 from pmabench.base.quantities import show
 from pmabench.bench.compile import Mounted
 from pmabench.bench.safety import SUPPLY_MARGIN

@@ -7,9 +7,8 @@ command, another channel, the specimen file) and names the wires that it depends
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 
-from pmabench.base.dataclass import dataclass
 from pmabench.base.quantities import show
 from pmabench.bench.compile import Mounted
 from pmabench.bench.files.specimen import ExpectedFile

@@ -8,10 +8,10 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pmabench.base.dataclass import dataclass
 from pmabench.base.errors import InvalidFile, reading
 from pmabench.base.text import unused
 from pmabench.store import folder as files

@@ -15,11 +15,11 @@ import shutil
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from pmabench.base.dataclass import dataclass
 from pmabench.base.errors import InvalidFile, UsageError, invalid
 from pmabench.base.text import unused
 from pmabench.store import folder as files

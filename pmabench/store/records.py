@@ -7,7 +7,7 @@ are cut from the samples by the events of the run.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from enum import IntFlag
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypeGuard
@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any, TypeGuard
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.base.dataclass import dataclass
 from pmabench.store.since import Since
 
 if TYPE_CHECKING:

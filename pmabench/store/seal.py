@@ -14,13 +14,12 @@ import os
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import field
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from io import BufferedWriter
 from pathlib import Path
 from typing import Any
 
-from pmabench.base.dataclass import dataclass
 from pmabench.base.errors import InvalidFile, RecordError
 from pmabench.store import folder as files
 from pmabench.store.livestream import DAMAGED, LiveReader, about_stream, pa, pq, raw_bytes

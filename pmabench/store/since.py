@@ -17,14 +17,13 @@ import re
 import stat
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import field
+from dataclasses import dataclass, field
 from functools import cache
 from importlib import metadata
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from pmabench.base.dataclass import dataclass
 from pmabench.base.errors import InvalidFile, invalid
 from pmabench.base.system import registered
 from pmabench.store import folder as files

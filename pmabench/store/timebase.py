@@ -7,12 +7,12 @@ flagged.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.base.dataclass import dataclass
 from pmabench.store.records import UNUSABLE, Array, ClockInfo, Flag, Flags, TrialData
 
 REACH = 1.5

@@ -7,10 +7,9 @@ reading [SI of the channel], and a gain, a share of the reading: true value = (1
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence, Sized
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import hypot, sqrt
 
-from pmabench.base.dataclass import dataclass
 from pmabench.store.analyses.results import Estimate, Finding
 from pmabench.store.records import RunData
 

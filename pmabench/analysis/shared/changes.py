@@ -12,7 +12,7 @@ each value holds the difference in its interval, or is withheld.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import isfinite, nan
 from typing import Any
@@ -24,7 +24,6 @@ from pmabench.analysis.imported import import_of
 from pmabench.analysis.shared import student
 from pmabench.analysis.shared.form import MOST_HIDDEN, Doubt, weighed
 from pmabench.analysis.shared.trials import grouped, point_of, six_digits
-from pmabench.base.dataclass import dataclass
 from pmabench.base.quantities import show
 from pmabench.store.analyses.results import Analysis, Estimate, Finding
 from pmabench.store.records import Array, RunData, TrialData

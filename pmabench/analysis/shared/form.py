@@ -7,14 +7,13 @@ only do not exclude adds as a square. Reasons are in decision 0019.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import hypot, inf, isfinite, sqrt
 
 import numpy as np
 
 from pmabench.analysis.shared import student
 from pmabench.analysis.shared.samples import step_of
-from pmabench.base.dataclass import dataclass
 from pmabench.base.quantities import show
 from pmabench.store.analyses.results import Estimate, Finding, Parts, Source, is_below_0, withhold
 from pmabench.store.records import Array, RunData, TrialData

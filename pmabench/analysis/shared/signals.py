@@ -8,7 +8,7 @@ steady-state error, limit cycle, and IAE, the integral of |set-point - x|.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import hypot, pi, sqrt
 
@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.shared.samples import Held, left, noise_of
-from pmabench.base.dataclass import dataclass
 from pmabench.base.quantities import show
 from pmabench.store.analyses.results import Finding
 from pmabench.store.records import Array, Flag, RunData, TrialData

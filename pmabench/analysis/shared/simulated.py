@@ -6,7 +6,7 @@ Many intervals are integrated in parallel.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import chain
 from math import inf, sqrt
 from typing import TYPE_CHECKING, Any, Protocol
@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from pmabench.analysis.shared.samples import Noise, Samples
-from pmabench.base.dataclass import dataclass
 from pmabench.store.records import Array, RunData, TrialData
 
 if TYPE_CHECKING:  # plants import scipy, which takes longer than a reduction that needs none

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -12,7 +12,6 @@ from pmabench.analysis.imported import in_time
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.samples import NotUsable
 from pmabench.analysis.shared.student import mean_with_half
-from pmabench.base.dataclass import dataclass
 from pmabench.base.kind import Result
 from pmabench.base.quantities import show
 from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, Trace

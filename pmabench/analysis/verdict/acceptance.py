@@ -7,12 +7,12 @@ older version judged are not met.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from pmabench.analysis.verdict.checks import NAMES, checks_of
-from pmabench.base.dataclass import dataclass
 from pmabench.base.quantities import QUANTITIES, show
 from pmabench.store.analyses.results import Analysis, Estimate
 from pmabench.store.records import RunData, is_number

@@ -11,7 +11,7 @@ others, shows as a difference from a single muscle.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 from math import comb, hypot, inf, isnan, nan
 from typing import Any
@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 
 from pmabench.analysis.shared import student
-from pmabench.base.dataclass import dataclass
 from pmabench.base.kind import Kind
 from pmabench.base.quantities import show
 from pmabench.store.analyses.results import POINT_QUANTITIES, Analysis, Curve, Estimate, Finding, Parts

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from math import sqrt
 
 import numpy as np
@@ -25,7 +25,6 @@ from pmabench.analysis.shared import student
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.samples import NotUsable
 from pmabench.analysis.shared.trials import Point, grouped, six_digits
-from pmabench.base.dataclass import dataclass
 from pmabench.base.kind import Kind
 from pmabench.base.quantities import QUANTITIES, show
 from pmabench.base.text import printable

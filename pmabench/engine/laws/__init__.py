@@ -9,11 +9,10 @@ plan's step. Laws ship with pmabench, or come from entry points of the group `pm
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import field
+from dataclasses import dataclass, field
 from importlib import import_module
 from typing import Any, Protocol
 
-from pmabench.base.dataclass import dataclass
 from pmabench.base.errors import UsageError, did_you_mean
 from pmabench.base.system import registered
 

@@ -19,7 +19,7 @@ channels behind one filter, or moves those that are in time to one that is late,
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import hypot, log, pi, sqrt
 
@@ -28,7 +28,6 @@ import numpy as np
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.samples import LAG_KNOWN, UNDECLARED, lag_of
 from pmabench.analysis.verdict.agreement import weighted
-from pmabench.base.dataclass import dataclass
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.diagnosis.corrections import in_samples
 from pmabench.kinds.contraction_relaxation.diagnosis.verdict import Diagnosis

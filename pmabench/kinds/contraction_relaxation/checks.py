@@ -11,7 +11,7 @@ the fit. Works from the pooled fit; gives no estimate.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from math import inf, nan, sqrt
 from typing import Any
@@ -23,7 +23,6 @@ from pmabench.analysis.shared import simulated
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.trials import grouped, thinned
 from pmabench.analysis.verdict.checks import Check
-from pmabench.base.dataclass import dataclass
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.intervals import NORMAL, Pooled
 from pmabench.kinds.contraction_relaxation.pooled import (

@@ -7,7 +7,7 @@ primary method's results, and does not change the latter.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import hypot, isfinite, sqrt
 from typing import Any
 
@@ -19,7 +19,6 @@ from pmabench.analysis.shared.calibration import Scales, calibrated, sentences
 from pmabench.analysis.shared.samples import KINDS, Samples, dead_times
 from pmabench.analysis.shared.student import half_width, mean_over
 from pmabench.analysis.shared.trials import grouped
-from pmabench.base.dataclass import dataclass
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.bandwidth import Recorded
 from pmabench.kinds.contraction_relaxation.diagnosis.hiding import GAIN, ZERO

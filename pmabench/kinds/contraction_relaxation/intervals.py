@@ -11,7 +11,7 @@ ways, and the larger change counts. Each is a `Source`; together they make the p
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import hypot, sqrt
 from typing import TYPE_CHECKING
 
@@ -24,7 +24,6 @@ from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.form import more_than_squares
 from pmabench.analysis.shared.samples import LEAST_MOTION, Noise
 from pmabench.analysis.shared.trials import compared
-from pmabench.base.dataclass import dataclass
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Fit, noise_covariance, rms_of
 from pmabench.kinds.contraction_relaxation.segments import CHANNELS, Campaign, Segments, resting

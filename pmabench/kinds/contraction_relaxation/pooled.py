@@ -9,14 +9,13 @@ Linear in all unknowns.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.shared.samples import Noise
-from pmabench.base.dataclass import dataclass
 from pmabench.kinds.contraction_relaxation.segments import Segments
 from pmabench.store.records import Array
 

@@ -12,7 +12,7 @@ A `Campaign` holds the trials of all runs that can be reduced together, with the
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import sqrt
 from typing import Any
@@ -24,7 +24,6 @@ from pmabench.analysis.shared.samples import Noise, Samples, between_new, noise_
 from pmabench.analysis.shared.simulated import GOLDEN
 from pmabench.analysis.shared.skew import STAMPED, apart
 from pmabench.analysis.shared.trials import session_of
-from pmabench.base.dataclass import dataclass
 from pmabench.store.analyses.results import Dropped
 from pmabench.store.records import Array, RunData, TrialData
 

@@ -6,7 +6,7 @@ Also polynomials through coefficients at several pressures, with interval parts.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import hypot, log, sqrt
 
 import numpy as np
@@ -16,7 +16,6 @@ from pmabench.analysis.shared import skew, student
 from pmabench.analysis.shared.calibration import sentences
 from pmabench.analysis.shared.samples import Samples
 from pmabench.analysis.verdict.agreement import Offer, anywhere, at_pressures, everywhere, exactly, straight, weighted
-from pmabench.base.dataclass import dataclass
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.intervals import Pooled, Trust
 from pmabench.kinds.contraction_relaxation.pooled import FLOOR, SYMBOLS, design_of, first_knots, least_squares, prior_of

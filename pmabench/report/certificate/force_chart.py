@@ -10,11 +10,11 @@ analysis wrote it down: where K is the slope, and what it pulls more there.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from math import isfinite
 
 import numpy as np
 
-from pmabench.base.dataclass import dataclass
 from pmabench.plotting.chart import BLUE, BROWN, FAINT, PAGE, QUIET, Array, Chart, Series, small_multiples
 from pmabench.plotting.pictures import Picture, column, has, head, label, of_charts, of_traces, spread, unit_of
 from pmabench.plotting.wording import Frame, half_width, rounded

@@ -8,6 +8,7 @@ from __future__ import annotations
 import base64
 import hashlib
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from math import floor, isfinite, log10
@@ -15,7 +16,6 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.base.dataclass import dataclass
 from pmabench.plotting.chart import SHAPES, Array, Chart, Series, in_words, limits
 from pmabench.plotting.drawing import level_names, rows_needed
 from pmabench.plotting.pictures import Picture

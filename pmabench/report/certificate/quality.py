@@ -12,12 +12,12 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from math import pi
 
 import numpy as np
 
 from pmabench.analysis.verdict.checks import checks_of
-from pmabench.base.dataclass import dataclass
 from pmabench.plotting.chart import BLUE, BROWN, DARK, GREEN, QUIET
 from pmabench.plotting.pictures import column, has, unit_of, usable
 from pmabench.plotting.wording import (

@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import field
+from dataclasses import dataclass, field
 
-from pmabench.base.dataclass import dataclass
 from pmabench.plotting.wording import clean, number, point_shown, rounded, shown, symbol_text
 from pmabench.report.certificate.force_chart import slopes_of
 from pmabench.report.document.tables import cell, matrix_table, two_coordinates

@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
-from pmabench.base.dataclass import dataclass
 from pmabench.plotting.pictures import Picture, drawable
 from pmabench.plotting.wording import brief, clean, number, printed, spoken
 from pmabench.report.certificate import quality

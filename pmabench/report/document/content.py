@@ -10,13 +10,12 @@ import hashlib
 import json
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from pmabench import __version__
 from pmabench.analysis.verdict.acceptance import limits_of
-from pmabench.base.dataclass import dataclass
 from pmabench.kinds import registry
 from pmabench.kinds.reduce import verdicts
 from pmabench.plotting import wording

@@ -12,11 +12,11 @@ from __future__ import annotations
 import base64
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from pmabench.base.dataclass import dataclass
 from pmabench.plotting.wording import clean, number
 from pmabench.report.document.provenance import get, text_of
 from pmabench.store.analyses.results import Analysis

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import field
+from dataclasses import dataclass, field
 
-from pmabench.base.dataclass import dataclass
 from pmabench.plotting.wording import AT_MOST, POINTS, UNRESOLVED, WITHHELD, Frame, point_head
 from pmabench.report.document.tables import Table
 

@@ -6,11 +6,10 @@ Cells are text, rounded as their interval says; numbers for programs are in `csv
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import radians
 from typing import Any, TypeGuard
 
-from pmabench.base.dataclass import dataclass
 from pmabench.base.kind import Result
 from pmabench.base.quantities import QUANTITIES
 from pmabench.plotting.wording import (

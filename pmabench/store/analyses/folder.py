@@ -12,7 +12,7 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import MISSING, field, fields, is_dataclass, replace
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from types import UnionType
@@ -20,7 +20,6 @@ from typing import Any, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from pmabench.base.dataclass import dataclass
 from pmabench.base.errors import RecordError, invalid
 from pmabench.base.kind import Result
 from pmabench.base.quantities import QUANTITIES

@@ -6,14 +6,13 @@ Everything is SI and plain data; `to_dict` is the documented JSON. Nothing here 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence, Set
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from math import isfinite, nan, sqrt
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.base.dataclass import dataclass
 from pmabench.base.errors import UsageError
 from pmabench.base.kind import Result
 from pmabench.base.quantities import QUANTITIES, show

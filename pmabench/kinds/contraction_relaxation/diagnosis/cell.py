@@ -8,12 +8,12 @@ friction is needed. Uses no model of the muscle.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from math import inf, log, sqrt
 
 import numpy as np
 
 from pmabench.analysis.shared import student
-from pmabench.base.dataclass import dataclass
 from pmabench.kinds.contraction_relaxation.diagnosis.columns import course
 from pmabench.kinds.contraction_relaxation.diagnosis.corrections import GUIDE, Explanation
 from pmabench.kinds.contraction_relaxation.segments import Campaign, Gate, resting, settled

@@ -7,6 +7,7 @@ with the residual of the fit. See docs/uncertainty.md, "Is the form right?".
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
 
@@ -15,7 +16,6 @@ from numpy.typing import NDArray
 
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales
-from pmabench.base.dataclass import dataclass
 from pmabench.kinds.contraction_relaxation.intervals import zero_drifts
 from pmabench.kinds.contraction_relaxation.pooled import Fit, force_by_pressure
 from pmabench.kinds.contraction_relaxation.segments import Campaign, Gate, Segments

@@ -8,13 +8,12 @@ what to check. Does not test fits.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import sqrt
 
 import numpy as np
 
 from pmabench.analysis.shared.samples import Samples
-from pmabench.base.dataclass import dataclass
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.diagnosis import columns
 from pmabench.kinds.contraction_relaxation.diagnosis.columns import BY_LOAD, BY_WAY, LOADED, TYPICAL

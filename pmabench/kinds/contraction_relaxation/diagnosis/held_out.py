@@ -11,7 +11,7 @@ misfit that it leaves, within bounds found on campaigns with known faults. Decis
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import inf, sqrt
 from statistics import NormalDist
@@ -21,7 +21,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.shared import student
-from pmabench.base.dataclass import dataclass
 from pmabench.kinds.contraction_relaxation.diagnosis.columns import FINER, allowed
 from pmabench.kinds.contraction_relaxation.diagnosis.corrections import TIMES
 from pmabench.kinds.contraction_relaxation.intervals import NORMAL, Correction

@@ -7,7 +7,7 @@ each coefficient is a line of the budget.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import inf, sqrt
 from statistics import NormalDist
 
@@ -15,7 +15,6 @@ import numpy as np
 
 from pmabench.analysis.shared.calibration import HYSTERESIS, Scales
 from pmabench.analysis.shared.samples import sticks
-from pmabench.base.dataclass import dataclass
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.diagnosis import columns
 from pmabench.kinds.contraction_relaxation.diagnosis.cell import Weighed

@@ -11,12 +11,11 @@ not decide between them.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
-from pmabench.base.dataclass import dataclass
 from pmabench.kinds.contraction_relaxation.diagnosis import columns
 from pmabench.kinds.contraction_relaxation.diagnosis.corrections import (
     MOST_LATE,

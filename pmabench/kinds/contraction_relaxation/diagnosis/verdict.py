@@ -7,7 +7,7 @@ what is too small to be seen (`hiding`). docs/uncertainty.md has the rules in wo
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence, Set
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -15,7 +15,6 @@ import numpy as np
 
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.samples import NotUsable
-from pmabench.base.dataclass import dataclass
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.diagnosis.cell import Weighed, readings, weighed
 from pmabench.kinds.contraction_relaxation.diagnosis.columns import Span, bent, zero_known
