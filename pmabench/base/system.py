@@ -41,6 +41,21 @@ def keep_in_memory() -> None:
         ctypes.CDLL(None).mlockall(1)  # MCL_CURRENT; with MCL_FUTURE a limit on locked memory would end the process
 
 
+KEPT, AT_ONCE = 128 * 2**20, 32 * 2**20
+"""Freed memory that a process keeps, and the smallest piece that is returned to the system when it is freed [bytes]."""
+
+
+def keep_freed_memory() -> None:
+    """Keep freed memory for the next array, if the C library can: each new page costs as much as the sum over it."""
+    if sys.platform == "linux":
+        import ctypes
+
+        option = getattr(ctypes.CDLL(None), "mallopt", None)
+        if option is not None:
+            option(-1, KEPT)  # M_TRIM_THRESHOLD
+            option(-3, AT_ONCE)  # M_MMAP_THRESHOLD
+
+
 def give_back_memory() -> None:
     """Return freed memory to the system after much was read at once, if the C library can."""
     if sys.platform == "linux":

@@ -13,6 +13,7 @@ import click
 
 from pmabench import __version__
 from pmabench.base.errors import did_you_mean
+from pmabench.base.system import keep_freed_memory
 from pmabench.cli.common import output_lost, prepare_streams
 
 for _threads in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -120,6 +121,7 @@ class Commands(click.Group):
         """Import one command."""
         if cmd_name not in COMMANDS:
             return None
+        keep_freed_memory()
         module, _, name = COMMANDS[cmd_name][0].partition(":")
         command: click.Command = getattr(import_module(f"pmabench.cli.{module}"), name or "command")
         example = _lines(f"pmabench {cmd_name} {EXAMPLES[cmd_name]}".rstrip())

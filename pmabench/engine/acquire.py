@@ -191,18 +191,19 @@ class Acquisition:
         """Why samples of the safe state were not recorded; None if they were."""
         return self._recorder.lost if isinstance(self._recorder, Forgiving) else None
 
-    def pass_time(self, duration: float, stop: Stop | None = None) -> float | None:
+    def pass_time(self, duration: float, stop: Stop | None = None, *, looks_only: bool = False) -> float | None:
         """Let `duration` [s] of bench time pass; see `until`."""
-        return self.until(self.clock.now() + duration, stop)
+        return self.until(self.clock.now() + duration, stop, looks_only=looks_only)
 
-    def until(self, deadline: float, stop: Stop | None = None) -> float | None:
+    def until(self, deadline: float, stop: Stop | None = None, *, looks_only: bool = False) -> float | None:
         """Sample until `deadline` [s] or until `stop` ends it; returns the time of that stop [s], or None.
 
-        Raises LimitTripped when a measured limit is exceeded; bench time is set back to that sample where possible.
+        `looks_only`: `stop` sees every sample, but never stops. Raises LimitTripped when a measured limit is exceeded;
+        bench time is set back to that sample where possible.
         """
         with self._lock:
             self._stop, self._stopped = stop, None
-        if stop is None:
+        if stop is None or looks_only:
             self.clock.set_quiet_until(deadline)
         try:
             while True:

@@ -243,7 +243,7 @@ class Executor:
         self.acquisition.pass_time(step.longest())
 
     def _hold(self, step: Hold) -> None:
-        self.acquisition.pass_time(step.duration, self._load.watch())
+        self.acquisition.pass_time(step.duration, self._load.watch(), looks_only=True)
         verdict = self._load.verdict()
         if verdict is None:
             return

@@ -102,12 +102,12 @@ def _rests(trial: TrialData, top: float, every: int) -> Iterator[tuple[float, fl
         return
     P, sent = trial.channels[PRESSURE][::every], trial.channels[SENT][::every]
     good = trial.usable[::every] & np.isfinite(P) & np.isfinite(sent)
-    t, P, sent = trial.t[::every][good], P[good], sent[good]
+    t, P, sent = (values if good.all() else values[good] for values in (trial.t[::every], P, sent))
     for begin, end in _constant(t, sent, SAME * top):
-        quarter = (t[begin:end] > 0.25 * t[begin] + 0.75 * t[end - 1]).nonzero()[0] + begin
-        before, after = np.array_split(quarter, 2)
-        if len(after) and abs(P[before].mean() - P[after].mean()) < REST * top:
-            yield float(sent[quarter].mean()), float(P[quarter].mean())
+        last = begin + int(np.searchsorted(t[begin:end], 0.25 * t[begin] + 0.75 * t[end - 1], side="right"))
+        half = (last + end + 1) // 2  # of the last quarter
+        if half < end and abs(P[last:half].mean() - P[half:end].mean()) < REST * top:
+            yield float(sent[last:end].mean()), float(P[last:end].mean())
 
 
 def _constant(t: Array, sent: Array, same: float) -> Iterator[tuple[int, int]]:

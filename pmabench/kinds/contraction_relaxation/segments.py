@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.shared.samples import Noise, Samples, between_new, noise_of
+from pmabench.analysis.shared.simulated import GOLDEN
 from pmabench.analysis.shared.skew import STAMPED, apart
 from pmabench.analysis.shared.trials import session_of
 from pmabench.store.analyses.results import Dropped
@@ -35,6 +36,8 @@ FEWEST_STILL = 8
 """Fewest samples at rest from which noise is estimated."""
 FEW, COUNTS = 256, 65536
 """Samples that usually show the step of a converter, and the largest number of its steps (16 bits)."""
+SHOW = 24
+"""Trials, spread without a period, that show the step of a converter: it is the same in all of them."""
 LEVELS = 20
 """Fewest different values of a channel for taking their smallest distance as the step of its converter."""
 
@@ -260,21 +263,21 @@ def noise_seen(
     freedom by field, as of a variance.
 
     The noise is the median over the stretches, each in its rows `still` where nothing moves, over the longest run of
-    usable samples. It is at least that of the steps, which rest does not show. `every` gives k for channels with a new
-    value only in every k-th row, interpolated in between: a mean of n rows then has n / k values, so their noise counts
-    as white noise sqrt(k) times as large.
+    usable samples. It is at least that of the steps, the median over some stretches: rest does not show them. `every`
+    gives k for channels with a new value only in every k-th row, interpolated in between: a mean of n rows then has
+    n / k values, so their noise counts as white noise sqrt(k) times as large.
     """
 
     def typical(name: str) -> tuple[float, float, float]:
-        values, widths, thirds, k = [], [], 0, (every or {}).get(name, 1)
-        for samples, column, rows in _at_rest(stretches, still, name):
-            if samples.ok.any():
-                widths.append(np.sqrt(k / 12.0) * _step(column if samples.ok.all() else column[samples.ok]))
-                if len(rows) >= FEWEST_STILL * k:
-                    seen = max(noise_of(rows[first::k]) for first in range(k))
-                    values.append(max(np.sqrt(k) * seen, widths[-1]))
-                    thirds += len(rows) // k - 3
-        return _median(values), _median(widths), thirds / OF_MEDIANS
+        k = (every or {}).get(name, 1)
+        known = [(one.ok, column, rows) for one, column, rows in _at_rest(stretches, still, name) if one.ok.any()]
+        few = range(len(known)) if len(known) <= SHOW else [int(n * GOLDEN % 1 * len(known)) for n in range(SHOW)]
+        widths = [_step(column if ok.all() else column[ok]) for ok, column, _ in map(known.__getitem__, few)]
+        width = float(np.sqrt(k / 12.0)) * _median(widths)
+        rested = [rows for _, _, rows in known if len(rows) >= FEWEST_STILL * k]
+        seen = [np.sqrt(k) * max(noise_of(rows[first::k]) for first in range(k)) for rows in rested]
+        thirds = sum(len(rows) // k - 3 for rows in rested)
+        return _median([max(one, width) for one in seen]), width, thirds / OF_MEDIANS
 
     noise, steps, freedom = zip(*map(typical, FIELDS), strict=True)
     return Noise(*noise), Noise(*steps), dict(zip(vars(Noise()), freedom, strict=True))
