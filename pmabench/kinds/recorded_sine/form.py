@@ -138,6 +138,8 @@ def other_shape(sines: Sequence[Sine]) -> list[Doubt]:
     return [Doubt("shape of the loop", "method", half, share > SURE * noise, reason)]
 
 
+MOST_PLAY = 0.06
+"""Largest third harmonic over the first that a play of a sensor makes: it would be an eighth of the amplitude."""
 PLAY, TURNS = 5.8, 3.0
 """A play turns a sine by three times its third harmonic r, and shortens it by 5.8 r^1.5, within 6 % up to a fifth of
 the amplitude (the first and third harmonic of a sine after a play).
@@ -148,13 +150,13 @@ def play(sines: Sequence[Sine], *, phase: bool = False) -> list[Doubt]:
     """Effect on amplitude [1] or `phase` [rad] of a play in the sensor of the contraction, where the loop may have one.
 
     Friction of the muscle makes the same loop, and then the amplitude is right: nothing is withheld. The third harmonic
-    of a bent curve is in phase with the motion, that of a play is not.
+    of a bent curve is in phase with the motion, that of a play is not. One above `MOST_PLAY` is friction.
     """
     x, P, noise = _third(sines)
     X, driven = (sines[0].amplitudes[name] for name in ("displacement", "pressure"))
-    if abs((x * np.exp(-3j * np.angle(X / driven))).imag) <= SURE * noise + abs(P):
-        return []
     third = abs(x)
+    if third > MOST_PLAY or abs((x * np.exp(-3j * np.angle(X / driven))).imag) <= SURE * noise + abs(P):
+        return []
     half = MORE * (TURNS * third if phase else PLAY * third**1.5)
     return [Doubt("play of the sensor, if it is no friction", "method", half, seen=False)]
 
