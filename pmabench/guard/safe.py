@@ -366,7 +366,7 @@ class SafeState:
 
     def _looked_at(self, actions: list[SafeAction], now: float, latest: Mapping[str, float]) -> bool:
         """Whether all values are good at the same time, or their time is over; repeats the commands until then."""
-        if not self._watched:
+        if [watched.action for watched in self._watched] != actions:
             self._watched = [_Watched(action, self._floors.get(action.target, -inf)) for action in actions]
         late, back = self._late(), False
         for watched in self._watched:

@@ -137,6 +137,20 @@ def test_hurry_leaves_out_waits_and_nothing_else():
     assert advance(guard, STAYS, LOW).confirmed
 
 
+def test_a_hurry_within_one_confirmation_leaves_the_last_one_to_be_judged():
+    """40 kPa passed for "below 10 kPa": the look at "below 50 kPa", which a Ctrl-C had ended, stood for the last one."""
+    looks = [SafeAction("confirm", "pressure", most, 5.0) for most in (50e3, 10e3)]
+    guard, _ = armed(bench(safe_state=(*SAFE[:-1], looks[0], SafeAction("hold", "", 0.0, 1.0), looks[1])))
+    guard.set("pressure", 200e3)
+    guard.begin_safe()
+    guard.step_safe({"pressure": 40e3})
+    advance(guard, 0.1, {"pressure": 40e3})
+    guard.begin_safe(hurry=1)
+    assert advance(guard, 0.1, {"pressure": 40e3}) is None
+    vents = [advance(guard, 0.5, {"pressure": 40e3}) for _ in range(20)]
+    assert [vent.result for vent in vents if vent][:1] == ["commanded"]
+
+
 PATIENT = (*SAFE[:-1], replace(SAFE[-1], within=60.0))
 
 
