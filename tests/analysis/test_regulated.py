@@ -44,4 +44,14 @@ def test_one_level_of_four_that_is_off_is_said_and_held() -> None:
     found = regulated(levels(lambda P: np.minimum(P, 450e3)))
     assert found is not None
     assert "-10.0% off its command of 500 kPa" in found.text
-    assert 450e3 * (1 + found.gain) > 500e3
+    assert 450e3 + found.offset > 500e3
+
+
+@pytest.mark.parametrize("reads", [120e3, 290e3])
+def test_one_level_that_is_far_off_is_held_and_does_not_widen_the_others_by_its_share(reads: float) -> None:
+    """40 % off at 200 kPa was called a wrong unit and held nowhere; 20 % of it was 100 kPa at 500 kPa."""
+    found = regulated(levels(lambda P: np.where(np.abs(P - 200e3) < 2e3, reads, P)))
+    assert found is not None
+    assert "of 200 kPa" in found.text
+    assert found.gain == 0.0
+    assert found.offset == pytest.approx(1.2 * (200e3 - reads), rel=0.02)

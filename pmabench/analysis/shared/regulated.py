@@ -58,7 +58,7 @@ def regulated(run: RunData) -> Change | None:
         share, where = off[level], f" of {show(level, 'pressure')}"
         if abs(share) * level <= declared + AT_ONE * top:
             return None
-    if abs(share) > OTHER:
+    elif abs(share) > OTHER:
         text = (
             f"{run.id}: at rest the pressure reads {1 + share:.2g} times its command: the unit of one of them is wrong"
         )
@@ -67,7 +67,8 @@ def regulated(run: RunData) -> Change | None:
         f"{run.id}: at rest the pressure reads {share:+.1%} off its command{where}: the gauge or the regulator is off. "
         "Intervals hold either. Compare the gauge with another one"
     )
-    return Change(PRESSURE, 1 / (1 + MORE * share) - 1, 0.0, 0.0, text, "gauge against command", inf)
+    gain, offset = (0.0, -MORE * share * level) if where else (1 / (1 + MORE * share) - 1, 0.0)
+    return Change(PRESSURE, gain, offset, 0.0, text, "gauge against command", inf)
 
 
 def vented(run: RunData) -> Change | None:
