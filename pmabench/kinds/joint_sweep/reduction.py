@@ -279,7 +279,8 @@ def _estimates(at: Mapping[str, float], members: Sequence[Sweep], scales: Scales
     steeper = [steeper_by(s) if s else 0.0 for s in seconds]
     flat = Doubt(PLAY, "method", max(flatter_by(one) for one in members), False)
     # torque of one muscle by its pressure [N m/Pa]: its share of the difference at mid sweep, and what it would lose
-    per_pressure = share * (abs(float(np.mean([one.loop.mean[:, len(x) // 2] for one in members]))) + K * LOSES)
+    middles = [abs(float(one.loop.mean[:, one.loop.x.size // 2].mean())) for one in members]
+    per_pressure = share * (max(middles) + abs(K) * LOSES)
     yield weighed(found, [joint.way(kept, K), _second(members, steeper), flat, _along(members, per_pressure)])
     # difference of the fitted open gap to that at mid sweep, and remainder of the turns in the mean curve [N.m]
     fits = [(one.loop, one.loop.turns) for one in members]
