@@ -67,6 +67,10 @@ class Faults:
     """Of the torque's zero over the run [N m]."""
     creep: tuple[float, float] = (0.0, 1.0)
     """A part of the stiffness [N m/rad] that yields, and its time [s]."""
+    droop: float = 0.0
+    """Pressure that a muscle loses where the joint squeezes it, and gains where it stretches it [Pa/rad]."""
+    clip: float = np.inf
+    """Largest torque that the sensor reads, either way [N m]."""
     step: float = 0.0
     """In which the torque is read [N m]; then without noise."""
 
@@ -104,12 +108,14 @@ def _trial(trial, faults, rng, since):
         joint = 0.5 * joint + 0.5 * (drive + 0.5 * faults.loaded * np.tanh(held / 0.3))
     way = np.sign(np.gradient(joint))
     P = [faults.reached * trial.point[f"pressure_{n}"] + sign * faults.dragged * way for n, sign in ((1, 1), (2, -1))]
+    P = [one - sign * faults.droop * joint for one, sign in zip(P, (1, -1), strict=True)]
     pull = torque(joint, *P) + hysteresis(joint, HALF, W) + hysteresis(joint, *faults.second)
     if faults.bearing:
         pull = pull + faults.bearing / (2 * RADIUS) * hysteresis(joint, 1.0, 0.002 * RADIUS / LENGTH)
     K, tau = faults.creep
     share = math.exp(-float(np.median(np.diff(trial.t))) / tau)
     pull = pull - lfilter([K], [1, -share], np.diff(joint, prepend=joint[0])) + faults.drift * since
+    pull = np.clip(pull, -faults.clip, faults.clip)
     noisy = pull + rng.normal(0, 0.003, len(pull))
     channels = {
         "torque": np.round(pull / faults.step) * faults.step if faults.step else noisy,

@@ -14,7 +14,9 @@ from pmabench.bench.compile import mount
 from pmabench.engine.operator import ConfirmedBeforehand
 from pmabench.engine.run import run_plan
 from pmabench.kinds.compile import make_plan
+from pmabench.kinds.joint_sweep import RESULTS
 from pmabench.kinds.joint_sweep.reduction import reduce, sweep_of
+from pmabench.kinds.reduce import reduce_runs
 from pmabench.store.reader import open_run
 from tests.analysis.test_honesty import refuse_unexplained_moves
 from tests.kinds import joint_plant
@@ -236,6 +238,42 @@ def test_pressures_that_follow_the_motion_leave_no_gap(pairs):
     _, withheld, said = found(pairs, Faults(dragged=700.0))
     assert (withheld["H_tau"], withheld["W"], withheld["K_th"]) == (3, 3, 0)
     assert "the pressures differ by 2.8 kPa" in said
+
+
+@pytest.mark.parametrize("droop", [1e3, 5e3, 1e4])
+def test_pressures_that_change_along_the_sweep_are_in_stiffness_and_torque_or_withhold_them(pairs, droop):
+    """0.5 to 5 kPa at 30 deg in either muscle, recorded: 0.5 to 5 % of the stiffness, by the closed form."""
+    kept, withheld, said = found(pairs, Faults(droop=droop))
+    assert withheld["K_th"] == (3 if droop >= 5e3 else 0)
+    assert withheld["H_tau"] == 0
+    assert "along the sweep the pressures change" in said or droop < 5e3
+    assert droop > 1e3 or widths(kept, "K_th") < 0.25
+
+
+@pytest.mark.parametrize("clip", [1.5, 3.0, 6.0])
+def test_a_torque_that_is_cut_off_gives_no_wrong_number_and_is_named(pairs, clip):
+    """At 1.5 N m, of 8, the stiffness was 0.4 for 15 N m/rad, the torque at the end 4 half widths off."""
+    (analysis,) = reduce_runs([joint_plant.measured(pairs, Faults(clip=clip))])
+    for e in (e for e in analysis.estimates if e.symbol != "W" and e.value is not None):
+        assert e.ci95[0] < true(e) < e.ci95[1], e
+    reasons = [one.reason for one in analysis.dropped] + [e.note for e in analysis.estimates if e.withheld]
+    assert reasons
+    assert all("saturation: the torque does not pass" in reason for reason in reasons)
+
+
+@pytest.mark.parametrize(("faults", "cause"), [
+    (Faults(zero=math.radians(2.5)), "the encoder reads 2.5 deg where the drive was sent to 0"),
+    (Faults(scale=56.3), "the encoder reads 57 times the way that the drive was sent"),
+])  # fmt: skip
+def test_an_encoder_that_is_far_off_is_named_and_not_a_sweep_that_is_too_small(pairs, faults, cause):
+    dropped = reduce([joint_plant.measured(pairs, faults)]).dropped
+    assert len(dropped) == 3
+    assert all(cause in one.reason and "too small" not in one.reason for one in dropped)
+
+
+def test_a_joint_that_pushes_itself_away_has_no_stiffness():
+    positive = {result.symbol: result.positive for result in RESULTS}
+    assert positive == {"K_th": True, "H_tau": True, "W": True, "tau": False}
 
 
 def test_a_second_hysteresis_is_in_the_stiffness_and_its_interval(pairs):

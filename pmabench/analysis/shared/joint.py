@@ -38,6 +38,8 @@ SCALE = 2e-3
 """Relative difference between encoder and drive that is not reported [1]."""
 ZERO = radians(0.1)
 """Difference between their zeros that is not reported [rad]."""
+FAR = 0.02
+"""Share of the half sweep by which the encoder may be off the drive at an end before its turns are elsewhere."""
 ORDER = 5
 """Order of the polynomial for the torque next to a step at its change of sign."""
 SURE = 4.0
@@ -78,6 +80,18 @@ class Kept:
     """Of the angle at 0 [rad]."""
     scale: float
     """Of the range of angles: measured over commanded, minus 1 [1]."""
+
+    def turns_elsewhere(self, half: float) -> str:
+        """Why a sweep of +-`half` [rad] does not turn at its ends by the encoder; empty where it does."""
+        if abs(self.zero) + abs(self.scale) * half <= max(ZERO, FAR * half):
+            return ""
+        off = f"{show(self.zero, 'angle', 2)} where the drive was sent to 0"
+        if abs(self.scale) * half > abs(self.zero):
+            off = f"{1 + self.scale:.2g} times the way that the drive was sent"
+        return (
+            f"the encoder reads {off}, so the turns are not where the plan has them, and hysteresis looks like "
+            "stiffness: correct its unit, scale or zero, or that of the drive"
+        )
 
 
 def place(kept: Sequence[Kept], angle: float, by_angle: float) -> Doubt:

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmabench.analysis.shared.changes import Change
 from pmabench.analysis.shared.samples import noise_of
@@ -73,10 +74,15 @@ class Ceiling(Change):
         y = trial.channels.get(self.channel)
         if y is None:
             return trial
+        raised = y + np.linspace(0.5, 1.5, len(y)) * self.lift * self.cut(trial)
+        return replace(trial, channels={**trial.channels, self.channel: raised})
+
+    def cut(self, trial: TrialData) -> NDArray[np.bool_]:
+        """Samples of a trial with this channel that are at the ceiling, shape (n,)."""
+        y = trial.channels[self.channel]
         up = np.copysign(1.0, self.lift) * y
         top = float(np.max(up, initial=-np.inf, where=trial.usable & np.isfinite(y)))
-        raised = y + np.linspace(0.5, 1.5, len(y)) * self.lift * ((up > top - self.width) & (top > self.level))
-        return replace(trial, channels={**trial.channels, self.channel: raised})
+        return np.asarray((up > top - self.width) & (top > self.level))
 
 
 def saturated(run: RunData, loop: bool = False) -> Iterator[Ceiling]:

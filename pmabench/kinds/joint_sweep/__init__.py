@@ -7,8 +7,8 @@
 from pmabench.base.kind import Kind, Result
 
 RESULTS = (
-    Result("K_th", "torsional stiffness of the joint", "torsional stiffness", headline=True),
-    Result("H_tau", "gap of the torque between the branches", "torque", headline=True),
+    Result("K_th", "torsional stiffness of the joint", "torsional stiffness", headline=True, positive=True),
+    Result("H_tau", "gap of the torque between the branches", "torque", headline=True, positive=True),
     Result("W", "loop area, energy lost per cycle", "work", positive=True),
     Result("tau", "torque of the joint", "torque"),
 )

@@ -20,6 +20,7 @@ from pmabench.analysis.shared.joint import AXES, BY_PRESSURE, CUT, MUSCLES, STIF
 from pmabench.analysis.shared.lines import left_by
 from pmabench.analysis.shared.ramp_loop import Loop, Turns, fading, measure
 from pmabench.analysis.shared.samples import NotUsable, ends, on_time, settings_of
+from pmabench.analysis.shared.saturated import Ceiling, saturated
 from pmabench.analysis.shared.trials import Reduction, grouped
 from pmabench.base.quantities import show
 from pmabench.kinds.joint_sweep import RESULTS
@@ -40,6 +41,8 @@ from pmabench.store.records import Array, RunData, TrialData
 
 TURN = 0.02
 """Share of the sweep that is left out at each end in the first evaluation."""
+PARTS = 10
+"""Parts of a sweep without turns in which a gap is looked for."""
 HALF_SWEEP = 4.0
 """Smallest half sweep, in w: after a shorter one the turn has not decayed at mid sweep."""
 
@@ -61,6 +64,8 @@ class Sweep:
     """Step of the torque at its change of sign, because of backlash [N m]; 0 if not significant."""
     apart: Array
     """Pressures while the angle falls minus while it rises [Pa], shape (cycles, 2)."""
+    along: Array
+    """Pressures along each ramp, cubics over the commanded angle from mid sweep on [Pa, rad], shape (ramps, 2, 4)."""
 
 
 class OffForm(NotUsable):
@@ -75,19 +80,23 @@ def sweep_of(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Swee
     loop = measure(run, trial, int(settings_of(run, options).get("discard", 1)), TURN * (high - low), AXES)
     half, gap = 0.5 * (high - low), float(loop.middle_gap.mean())
     noise = float(np.sqrt(0.5 * np.mean(np.diff(loop.gap, axis=1) ** 2)))  # of one point, by its neighbours
+    kept, apart, along = _by_commands(run, trial, len(loop.gap))
+    elsewhere = kept.turns_elsewhere(half)
+    if loop.turns is None:  # none at mid sweep, but at another place, is no joint without hysteresis
+        gap = max(gap, *(float(part.mean()) for part in np.array_split(loop.gap.mean(axis=0), PARTS)))
     if why := why_no_turns(loop.turns, half, gap, noise):
-        raise OffForm(why)
+        raise OffForm(elsewhere or why)
     if loop.turns is not None and half < HALF_SWEEP * loop.turns.w:
         least, w = show(HALF_SWEEP * loop.turns.w, "angle", 3), show(loop.turns.w, "angle", 3)
         raise OffForm(
-            f"the sweep of +-{show(half, 'angle', 3)} is too small for the hysteresis: a turn fades on {w}, 3 of which "
-            f"are cut after each turn, and mid sweep must lie one more beyond them; sweep at least +-{least}"
+            elsewhere
+            or f"the sweep of +-{show(half, 'angle', 3)} is too small for the hysteresis: a turn fades on {w}, 3 of "
+            f"which are cut after each turn, and mid sweep must lie one more beyond them; sweep at least +-{least}"
         )
     stiffness, plain = _slopes(loop), _slopes(loop, keep=True)
-    kept, apart = _by_commands(run, trial, len(loop.gap))
     taken_off = abs(float(stiffness.mean() - plain.mean()))
     step = flank(loop.x, loop.contracting.mean(axis=0), loop.expanding.mean(axis=0), loop.ends, loop.turns)
-    return Sweep(run, trial, loop, stiffness, taken_off, second_of(loop), kept, step, apart)
+    return Sweep(run, trial, loop, stiffness, taken_off, second_of(loop), kept, step, apart, along)
 
 
 def flatter_by(one: Sweep) -> float:
@@ -96,23 +105,25 @@ def flatter_by(one: Sweep) -> float:
     return abs(one.flank * float(np.polyfit(x, np.sign(one.loop.mean.mean(axis=0)), 3)[2]))
 
 
-def _by_commands(run: RunData, trial: TrialData, cycles: int) -> tuple[Kept, Array]:
-    """Deviation of pressures and angle from their commands; pressures while falling minus while rising, (cycles, 2).
+def _by_commands(run: RunData, trial: TrialData, cycles: int) -> tuple[Kept, Array, Array]:
+    """Deviation of pressures and angle from their commands; `apart` and `along` of `Sweep`.
 
     Over the last `cycles`. A lag of the drive cancels between both directions.
     """
     moves = [c for c in trial.commands if c.output == AXES.moved and c.phase in (AXES.rises, AXES.falls)]
     angle, *pressures = (on_time(run, trial, name) for name in (AXES.moved, *MUSCLES))
-    means, lines = [], []
+    means, lines, cubics = [], [], []
     for ramp in moves[-2 * cycles :]:
         rows = (trial.t >= ramp.t) & (trial.t < ends(ramp)) & trial.usable
         way = (trial.t[rows] - ramp.t) / (ends(ramp) - ramp.t)
         wanted = ramp.before + (ramp.value - ramp.before) * way
         means.append([float(P[rows].mean()) for P in pressures])
         lines.append(np.polyfit(wanted, angle[rows] - wanted, 1))
+        middle = wanted - 0.5 * (ramp.before + ramp.value)
+        cubics.append([np.polyfit(middle, P[rows] - P[rows].mean(), 3) for P in pressures])
     each, (scale, zero) = np.array(means), np.mean(lines, axis=0)
     off = each.mean(axis=0) - [trial.point[name] for name in MUSCLES]
-    return Kept(off, float(zero), float(scale)), each[1::2] - each[::2]
+    return Kept(off, float(zero), float(scale)), each[1::2] - each[::2], np.array(cubics)
 
 
 SHORTER, LONGER = 0.4, 1.3
@@ -177,6 +188,9 @@ NEAR = 0.02
 SURE = 4.0
 """Standard errors from which on a difference of the pressures between the directions is significant."""
 PLAY = "play under the torque"
+ALONG = "pressures along the sweep"
+LOSES = 2.0
+"""Angle on which a muscle loses its force [rad]: 0.2 to 0.25 of its length on a pulley of an eighth of that."""
 PLACES = 5
 """Number of places along the sweep at which the mean curve is given."""
 
@@ -210,13 +224,18 @@ def stiffness_of(run: RunData, trial: TrialData) -> float:
 def _sweeps(runs: Sequence[RunData], options: Mapping[str, Any] | None) -> Reduction[Sweep]:
     """The usable trials, without those of a point where at least as many loops have another form."""
     off: dict[tuple[float, ...], list[str]] = {}
+    ceilings: dict[str, list[Ceiling]] = {}
 
     def measured(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Sweep:
         try:
             return sweep_of(run, trial, options)
         except OffForm as reason:
-            off.setdefault(_place(trial.point), []).append(str(reason))
-            raise
+            if run.id not in ceilings:
+                ceilings[run.id] = [one for one in saturated(run) if one.channel == AXES.pulls]
+            cut = (one.text.removeprefix(f"{run.id}: ") for one in ceilings[run.id] if one.cut(trial).any())
+            text = next(cut, str(reason))
+            off.setdefault(_place(trial.point), []).append(text)
+            raise OffForm(text) from None
 
     result = Reduction.of(KIND, RESULTS, runs, options, measured)
     alike = [_place(one.trial.point) for one in result.measured]
@@ -259,7 +278,10 @@ def _estimates(at: Mapping[str, float], members: Sequence[Sweep], scales: Scales
     found = made("K_th", STIFFNESS, BRANCHES, stiffness, taken_off, at, by_pressure=BY_PRESSURE * K * share, by_gain=-K)
     steeper = [steeper_by(s) if s else 0.0 for s in seconds]
     flat = Doubt(PLAY, "method", max(flatter_by(one) for one in members), False)
-    yield weighed(found, [joint.way(kept, K), _second(members, steeper), flat])
+    # torque of one muscle by its pressure [N m/Pa]: its share of the difference at mid sweep, and what it would lose
+    middles = [abs(float(one.loop.mean[:, one.loop.x.size // 2].mean())) for one in members]
+    per_pressure = share * (max(middles) + abs(K) * LOSES)
+    yield weighed(found, [joint.way(kept, K), _second(members, steeper), flat, _along(members, per_pressure)])
     # difference of the fitted open gap to that at mid sweep, and remainder of the turns in the mean curve [N.m]
     fits = [(one.loop, one.loop.turns) for one in members]
     unclosed = max(abs(2 * t.h - float(loop.middle_gap.mean())) if t else 0.0 for loop, t in fits)
@@ -283,7 +305,8 @@ def _estimates(at: Mapping[str, float], members: Sequence[Sweep], scales: Scales
         found = made("tau", TORQUE, MEAN, curves, 0.1 * off, where, by_pressure=whole * share,
                      by_angle=steepest, by_gain=steepest * where["angle"])  # fmt: skip
         left = _second(members, [float(s.of_mean(np.array([place]))[0]) if s else 0.0 for s in seconds])
-        yield weighed(found, [joint.place(kept, float(place), steepest), left], whole)
+        drawn = _along(members, per_pressure, float(place))
+        yield weighed(found, [joint.place(kept, float(place), steepest), left, drawn], whole)
 
 
 def _of_gap(members: Sequence[Sweep], K: float, per_pressure: float) -> list[Doubt]:
@@ -301,6 +324,25 @@ def _of_gap(members: Sequence[Sweep], K: float, per_pressure: float) -> list[Dou
         Doubt(PLAY, "method", 2 * max(one.flank for one in members), False),
         Doubt("pressures of both directions", "method", per_pressure * size, size > SURE * scatter, reason),
     ]
+
+
+def _along(members: Sequence[Sweep], per_pressure: float, angle: float | None = None) -> Doubt:
+    """Effect of pressures that change along the sweep on the stiffness at its middle, or on the torque at an `angle`.
+
+    `per_pressure` is the change of the torque by either pressure [N m/Pa]. It is significant where the ramps agree.
+    """
+    ramps = np.concatenate([one.along for one in members])
+    lower, upper = members[0].loop.ends
+    powers = np.vander(np.append(np.linspace(lower, upper, 9), angle or 0.0) - 0.5 * (lower + upper), 4)
+    each = ramps @ (powers[-1] if angle is not None else np.array([0.0, 0.0, 1.0, 0.0]))
+    size = float(np.abs(each.mean(axis=0)).sum())
+    scatter = float(np.linalg.norm(each.std(axis=0, ddof=1))) / np.sqrt(len(each))
+    span = float(np.ptp(ramps.mean(axis=0) @ powers[:-1].T, axis=1).sum())
+    reason = (
+        f"along the sweep the pressures change by {show(span, 'pressure', 2)}, both muscles together: the regulators "
+        "give way to the motion. Sweep more slowly, or look at the regulators"
+    )
+    return Doubt(ALONG, "method", per_pressure * size, size > SURE * scatter, reason)
 
 
 def _second(members: Sequence[Sweep], each: Sequence[float]) -> Doubt:

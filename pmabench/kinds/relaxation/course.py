@@ -61,6 +61,8 @@ class Course:
     """Relative deviation of the mean pressure from that of the step [1]."""
     before: tuple[tuple[float, float, float], ...]
     """Earlier holds of the run: pressure relative to this one [1], start and end as times before this step [s]."""
+    unsure: float = 0.0
+    """Uncertainty of `zero` where a recovery is taken off [N]."""
     recovered: float = 0.0
     """Part of the change of the force without pressure that the muscle's own recovery explains [N]."""
     offset: float = 0.0
@@ -128,7 +130,7 @@ class Course:
     @property
     def drifts(self) -> bool:
         """Whether the force without pressure changes by more than its noise, and than recoveries of muscles differ."""
-        return abs(self.zero) > max(ZERO_SEEN * self.noise, (UNLIKE - 1) * abs(self.recovered))
+        return abs(self.zero) > max(ZERO_SEEN * self.noise, (UNLIKE - 1) * abs(self.recovered), 2 * self.unsure)
 
     def doubts(self) -> list[Doubt]:
         """Effects of other causes than the rubber on s [1]."""
@@ -155,7 +157,7 @@ class Course:
         """
         one, F, s = self.relaxing, self.start, abs(self.per_decade)
         courses = [one.t, *(1 - np.exp(-one.t / T) for T in TIMES)]  # of a drift that nobody saw
-        ends = max(abs(float(weights @ course) / course[-1]) for course in courses) * self.zero / F
+        ends = max(abs(float(weights @ course) / course[-1]) for course in courses) * (abs(self.zero) + self.unsure) / F
         left = UNLIKE * float(weights @ left_by(self.before, one.t, one.by_line)) / F
         other = float(weights @ self.raw.y) / self.raw.line[0] - float(weights @ one.y) / F
         moment = float(weights @ np.log10((one.t + self.rise / 2) / one.t))
@@ -265,6 +267,7 @@ def measure(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Cours
         course,
         zero=found.zero,
         recovered=found.recovered,
+        unsure=found.unsure,
         drifted=found.zero * passed,
         offset=found.offset if abs(found.offset) > declared + ZERO_SEEN * course.noise else 0.0,
     )

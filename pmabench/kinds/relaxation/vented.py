@@ -25,8 +25,10 @@ PUSHES = 0.2
 """Share of the recovery from which on the vented muscle counts as pushing [1]."""
 GONE = 0.05
 """Share of the pressure below which the muscle is vented [1]."""
-LONG, FADES = 100.0, (10.0, 30.0, 100.0)
-"""Record after the vent in which a drift can be seen that fades, and time constants with which it may fade [s]."""
+FADES = (10.0, 30.0, 100.0)
+"""Time constants with which a drift may fade, each where the record after the vent is twice as long [s]."""
+SURE = 3.0
+"""Standard errors of the recovery's share that its uncertainty counts for: the noise may be correlated."""
 
 
 def left_by(holds: Sequence[tuple[float, float, float]], t: Array, relaxed: Callable[[Array], Array]) -> Array:
@@ -71,8 +73,9 @@ class Vented:
         return self._first - float(np.clip(self._first, min(most, 0.0), max(most, 0.0)))
 
     @cached_property
-    def _after(self) -> tuple[float, float]:
-        """Share of the recovery that the record shows after the vent [1], and a drift of the cell that fades [N].
+    def _after(self) -> tuple[float, float, float]:
+        """Share of the recovery that the record shows after the vent [1], the uncertainty of that share [1], and a
+        drift of the cell that fades [N].
 
         As soon as the pressure is gone a muscle that can push pushes most: one that does not is slack.
         """
@@ -81,21 +84,31 @@ class Vented:
         since = t - np.min(t, initial=np.inf)
         early, rest = since < CALM, since >= CALM
         if min(np.count_nonzero(early), np.count_nonzero(rest)) < 8:
-            return 0.0, 0.0
+            return 0.0, 0.0, 0.0
         recovery = left_by(self.holds, t, self.relaxed) - self._before
         most = float(recovery[early].mean())
         pushes = bool(F[early].mean() * most > PUSHES * most**2)
         terms = [np.ones_like(t), self.risen[rows], *([recovery] if pushes else [])]
-        share = _least(terms, F, rest)[-1] if pushes else 0.0
-        if since[-1] < LONG or (pushes and not self.straight):
-            return share, 0.0
-        return share, max((_least([*terms, np.exp(-since / T)], F, rest)[-1] for T in FADES), key=abs)
+        share, error = _least(terms, F, rest) if pushes else (0.0, 0.0)
+        known = [T for T in FADES if 2 * T <= since[-1]] if self.straight or not pushes else []
+        fading = (_least([*terms, np.exp(-since / T)], F, rest)[0] for T in known)
+        return share, SURE * error, max(fading, key=abs, default=0.0)
 
-    @cached_property
+    @property
     def recovered(self) -> float:
         """What the muscle's own recovery adds to the force from before the step to the end of the trial [N]."""
+        return self._after[0] * self._whole
+
+    @property
+    def unsure(self) -> float:
+        """Uncertainty of `recovered` from the noise [N]."""
+        return abs(self._after[1] * self._whole)
+
+    @cached_property
+    def _whole(self) -> float:
+        """The same by superposition, of a muscle that can push [N]."""
         last = self.t[self.t > self.t[-1] - CALM]
-        return self._after[0] * (float(left_by(self.holds, last, self.relaxed).mean()) - self._before)
+        return float(left_by(self.holds, last, self.relaxed).mean()) - self._before
 
     @cached_property
     def end(self) -> float:
@@ -109,9 +122,12 @@ class Vented:
     @property
     def zero(self) -> float:
         """Change of the cell to the end or to the vent, whichever is larger [N]."""
-        return max(self.end, self.end + self._after[1], key=abs)
+        return max(self.end, self.end + self._after[2], key=abs)
 
 
-def _least(terms: Sequence[Array], y: Array, rows: NDArray[np.bool_]) -> list[float]:
-    """Sizes of `terms` by least squares to y, both shape (n,), in `rows`."""
-    return [float(size) for size in np.linalg.lstsq(np.column_stack(terms)[rows], y[rows], rcond=None)[0]]
+def _least(terms: Sequence[Array], y: Array, rows: NDArray[np.bool_]) -> tuple[float, float]:
+    """Size of the last of `terms` by least squares to y, both shape (n,), in `rows`, and its standard error."""
+    design = np.column_stack(terms)[rows]
+    inverse = np.linalg.pinv(design)
+    sizes = inverse @ y[rows]
+    return float(sizes[-1]), float(np.std(y[rows] - design @ sizes) * np.linalg.norm(inverse[-1]))
