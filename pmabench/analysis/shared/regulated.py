@@ -60,7 +60,7 @@ def regulated(run: RunData) -> Change | None:
         f"{run.id}: at rest the pressure reads {share:+.1%} off its command: the gauge or the regulator is off. "
         "Intervals hold either. Compare the gauge with another one"
     )
-    return Change(PRESSURE, 1 / (1 + MORE * share) - 1, 0.0, 0.0, text, "gauge against command", inf)
+    return Change(PRESSURE, 1 / (1 + MORE * share) - 1, 0.0, 0.0, text, "gauge against command", inf, throughout=True)
 
 
 def _rests(trial: TrialData, top: float, every: int) -> Iterator[tuple[float, float]]:

@@ -228,11 +228,13 @@ def _one(
 
 
 def _after(t: Array, y: Array, over: float, lag: float) -> float:
-    """Time from the end of the motion, at `over` [s], to the peak of `y` (n,); 0 if a filter of `lag` [s] does that."""
-    end, peak = int(np.searchsorted(t, over)), int(np.argmax(y))
-    rises = float(y[peak] - y[max(0, end - 2) : end + 3].mean()) > SEEN * noise_of(y)
+    """Time from the end of the motion, at `over` [s], to the peak of `y` (n,); 0 if a filter of `lag` [s] does that, or
+    if `y` does not come back from there.
+    """
+    end, peak, rest = int(np.searchsorted(t, over)), int(np.argmax(y)), int((1 - LAST) * len(y))
+    others = max(float(part.mean()) for part in (y[max(0, end - 2) : end + 3], y[rest:]))
     time = float(t[peak]) - over
-    return time if rises and time > GOES_ON * lag else 0.0
+    return time if y[peak] - others > SEEN * noise_of(y) and time > GOES_ON * lag else 0.0
 
 
 def _unseen(t: Array, y: Array, begin: float, over: float) -> float:
