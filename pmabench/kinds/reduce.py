@@ -165,7 +165,7 @@ def _changes(kind: Kind, run: RunData) -> list[Sequence[Change]]:
     found: list[Sequence[Change]] = [[change] for change in [followed(run), off, *saturated(run, kind.loop)] if change]
     if kind.drifts == "force":
         found += of_forces(run)
-    seen = any(one is not off and (one.gain or one.offset) for changes in found for one in changes)
+    seen = any(not one.throughout and (one.gain or one.offset) for changes in found for one in changes)
     if kind.drifts and not seen and (repeats := repeats_of(kind, [run])):
         found += of_values(run, kind.drifts, kind.repeated_is, (repeats.cell, repeats.t, repeats.value))
     return found

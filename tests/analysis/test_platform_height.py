@@ -22,7 +22,7 @@ def courses(speed, damping=0.6):
     return [t, *(step(TransferFunction([speed**2, *[0] * order], below), T=t)[1] for order in range(3))]
 
 
-def measured(height, speed=18.0, noise=0.01, seed=0):
+def measured(height, speed=18.0, noise=0.01, seed=0, zero=0.0, declared=0.0):
     """Estimates by symbol and goal, what is said, and the true t_1 [s] and overshoot [1] of a step."""
     rng, trials = np.random.default_rng(seed), []
     t, way, rate, second = courses(speed)
@@ -39,7 +39,7 @@ def measured(height, speed=18.0, noise=0.01, seed=0):
             G * np.cos(psi) * np.cos(phi) - height * (phi_1**2 + psi_1**2),
         ]
         channels = {
-            f"acceleration_{axis}": one + noise * rng.standard_normal(len(one))
+            f"acceleration_{axis}": one + zero * (axis != "z") + noise * rng.standard_normal(len(one))
             for axis, one in zip("xyz", f, strict=True)
         }
         law = {"ended": "time", "t0": 10.0 * number, "chain": "reference", "saturated": 0.0, "reference_lag": 0.05,
@@ -50,7 +50,8 @@ def measured(height, speed=18.0, noise=0.01, seed=0):
         flags = np.zeros(len(at), np.uint16)
         trials.append(TrialData("s", number, point, 0, False, "finished", at, channels, flags, (), {"step": law}))
     settings = {"level": LEVEL, "hold": HOLD, "chain": "reference", "height": DECLARED}
-    analysis = reduce([as_run("platform-step", trials, RATE, settings)])
+    known = {f"acceleration_{axis}": {"offset_uncertainty": declared} for axis in "xyz"} if declared else None
+    analysis = reduce([as_run("platform-step", trials, RATE, settings, known)])
     away = {goal: np.flatnonzero(np.abs(way - 1) * hypot(*goal) > np.radians(1)) for goal in GOALS}
     truth = {goal: {"t_1": t[rows[-1]], "OS_q": (way.max() - 1) * hypot(*goal)} for goal, rows in away.items()}
     found = {(e.symbol, (e.at["phi"], e.at["psi"])): e for e in analysis.estimates}
@@ -79,3 +80,16 @@ def test_one_where_it_is_declared_to_be_is_not_doubted(height):
         assert low <= values["OS_q"] <= high
         assert 0.5 * (high - low) < 0.4 * values["OS_q"]
         assert found["t_1", goal].value == pytest.approx(values["t_1"], abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("zero", "declared", "given"), [(0.036, 0.03, True), (-0.036, 0.03, True), (0.036, 0.0, False), (0.1, 0.03, False)]
+)
+def test_zeros_of_axes_within_what_is_declared_withhold_nothing(zero, declared, given):
+    """Times and overshoots were withheld in 1 of 6 sound benches, "as if an axis were off"."""
+    found, truth, _ = measured(DECLARED, zero=zero, declared=declared)
+    for goal, values in truth.items():
+        for symbol, true in values.items():
+            e = found[symbol, goal]
+            assert e.withheld != given
+            assert not given or abs(e.value - true) < e.parts.combined

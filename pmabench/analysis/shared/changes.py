@@ -12,9 +12,9 @@ each value holds the difference in its interval, or is withheld.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from math import isfinite, nan
+from math import inf, isfinite, nan
 from typing import Any
 
 import numpy as np
@@ -66,6 +66,8 @@ class Change:
     """Its line in a budget; else `change of the <channel> in the run`."""
     most: float = MOST_HIDDEN
     """Effect, as a share of a value, above which that is withheld."""
+    throughout: bool = field(default=False, kw_only=True)
+    """Whether the channel is off in the whole run alike, which repeats do not show."""
 
     def of(self, trial: TrialData) -> TrialData:
         """The trial with the channel changed throughout."""
@@ -293,6 +295,8 @@ SCALE, PLACE = 2e-3, 2e-4
 """Changes of scale [1] and place [m] of the displacement, compared with the command, that are no change of a sensor."""
 FAR, AWAY = 0.01, 1e-3
 """Constant differences of scale [1] and place [m] that are not reported."""
+MORE = 1.2
+"""Factor on a constant difference: at the end of a curve a value changes by less than elsewhere."""
 OTHER = 0.3
 """Difference of scale from which on the command counts as that of something else."""
 CLEAR = 4.0
@@ -356,7 +360,7 @@ class Followed:
 
 
 def followed(run: RunData) -> Change | None:
-    """Change of the displacement compared with its command within a run; of size 0 where it is off throughout."""
+    """Change of the displacement compared with its command within a run, or throughout."""
     every = [one for trial in run.trials for one in Followed.all_of(trial)]
     if not every:
         return None
@@ -419,13 +423,20 @@ def _since(t: Array, off: Array, size: Array) -> float:
 
 
 def _constant(run: RunData, every: Sequence[Followed], gain: float, steady: Followed) -> Change | None:
-    """A change of size 0 with the sentence on a displacement that differs from its command in all trials alike."""
+    """The change that brings a displacement that is off in all trials alike to its command; of size 0 if only its place
+    is off. Either may be right, and intervals hold both.
+
+    The zero of an imported command is not known; where its sign is another one, nothing is.
+    """
     scales = [one.scale for one in every if isfinite(one.scale) and one.open < FAR] or [steady.scale]
     scale, place = float(np.median(scales)) - 1, float(np.median([one.place for one in every]))
+    own = not import_of(run)
     said = [f"{scale:+.1%} of the way that the drive was sent"] if abs(scale) > max(FAR, gain) else []
-    said += [f"{show(place, 'length', 2)} off the place where it was sent"] if abs(place) > AWAY else []
-    if not said or import_of(run):  # the zero and the sign of an imported command are not known
+    by = 1 / (1 + MORE * scale) - 1 if said else 0.0
+    said += [f"{show(place, 'length', 2)} off the place where it was sent"] if own and abs(place) > AWAY else []
+    if not said:
         return None
-    return Change(
-        MOVED, 0.0, 0.0, 0.0, f"{run.id}: the displacement reads {' and '.join(said)}: sensor or drive is wrong"
-    )
+    text = f"{run.id}: the displacement reads {' and '.join(said)}: sensor or drive is wrong"
+    text += ". Intervals hold either. Compare the sensor with another one" if by else ""
+    offset = -steady.place if own and by else 0.0
+    return Change(MOVED, by, offset, steady.centre, text, "displacement against command", inf, throughout=True)

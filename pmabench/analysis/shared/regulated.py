@@ -67,6 +67,7 @@ def regulated(run: RunData) -> Change | None:
         f"{run.id}: at rest the pressure reads {share:+.1%} off its command{where}: the gauge or the regulator is off. "
         "Intervals hold either. Compare the gauge with another one"
     )
+<<<<<<< HEAD
     gain, offset = (0.0, -MORE * share * level) if where else (1 / (1 + MORE * share) - 1, 0.0)
     return Change(PRESSURE, gain, offset, 0.0, text, "gauge against command", inf)
 
@@ -95,6 +96,9 @@ def _top(run: RunData) -> tuple[int, float]:
     every = max(1, round(run.rate / RATE)) if isfinite(run.rate) else 1
     sent = [t.channels[SENT][::every] for t in run.trials if SENT in t.channels and PRESSURE in t.channels]
     return every, max((float(np.nanmax(one)) for one in sent if np.isfinite(one).any()), default=0.0)
+=======
+    return Change(PRESSURE, 1 / (1 + MORE * share) - 1, 0.0, 0.0, text, "gauge against command", inf, throughout=True)
+>>>>>>> mendb
 
 
 def _rests(trial: TrialData, top: float, every: int) -> Iterator[tuple[float, float]]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -292,9 +292,11 @@ def _estimates(
     """All estimates of one cell; errors of the accelerometer come from all `courses`, which share it."""
     others = [[course_of(one.run, one.trial, way * KNOWN * _height(one.run)) for one in members] for way in (-1, 1)]
     elsewhere = _elsewhere(courses)
-    offset = max(scales.offsets.get(name, 0.0) for name in ACCELERATIONS) / G
-    attitude, wobble = _attitude(courses), max(map(_wobble, courses))
-    noise, size = max(one.noise for one in members), math.hypot(*at.values())
+    offset, gain = (max(of.get(name, 0.0) for name in ACCELERATIONS) for of in (scales.offsets, scales.gains))
+    noise, size, offset = max(one.noise for one in members), math.hypot(*at.values()), offset / G
+    # what is declared for the accelerometer is no reason to withhold
+    attitude = replace(_attitude(courses), most=MOST_HIDDEN + math.hypot(offset, gain * size) / size)
+    wobble = max(map(_wobble, courses))
     names = tuple(one.trial.name for one in members)
 
     def made(
@@ -306,7 +308,7 @@ def _estimates(
     times, by_height, by_band, why = _time(members, others, math.hypot(offset, attitude.half, wobble))
     t_1 = made("t_1", ("s", "time"), times, by_height, by_band)
     why = elsewhere or why
-    if not why and t_1.value is not None and attitude.seen and attitude.half > MOST_HIDDEN * size:
+    if not why and t_1.value is not None and attitude.seen and attitude.half > attitude.most * size:
         why = attitude.reason
     yield withhold(t_1, why) if why else weighed(t_1, [_between_axes(courses)])
     pairs = [(one, other) for several in others for one, other in zip(members, several, strict=True)]

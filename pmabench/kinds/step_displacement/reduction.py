@@ -231,7 +231,14 @@ class Way:
         where = "rests at other pressures before and after the steps" if all(rests) else "rests off its set-point"
         text = f"the regulator {where}, by {show(apart, 'pressure', 2)}, which may be worth"
         reason = f"{text} {show(self.steep * apart, 'force', 2)}: hold longer, or use a finer regulator"
-        return Doubt("pressure at rest", "method", self.steep * apart, apart > CERTAIN * error, reason)
+        half, seen = self.steep * apart, apart > CERTAIN * error
+        if all(rests):
+            return Doubt("pressure at rest", "method", half, seen, reason)
+        # what is declared for the gauge is no reason to withhold
+        offset, gain = (of.get("pressure", 0.0) for of in (self.scales.offsets, self.scales.gains))
+        force = abs(float(np.mean([rests[0] * one.before + rests[1] * one.relaxed for one in self.every])))
+        more = self.steep * hypot(offset, gain * self.at.get("pressure", 0.0)) / max(force, 1e-9)
+        return Doubt("pressure at rest", "method", half, seen, reason, MOST_HIDDEN + more)
 
     def read(self, channel: str) -> float:
         """Error of the mean of a rest because the channel is read in steps [SI]."""

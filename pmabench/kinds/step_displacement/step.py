@@ -197,8 +197,9 @@ def _one(
         raise NotUsable("the displacement comes to rest too late")
     on_way = t[still] - t[still][0]
     off = P[moving] - float(P[before].mean())
+    most = float(off[np.argmax(np.abs(off))])
     back = recovery(on_way, F[still])
-    peaks = {"force": way * away} | ({"pressure": np.abs(off)} if known else {})
+    peaks = {"force": way * away} | ({"pressure": np.sign(most) * off} if known else {})
     lags, over = lags_of(run, trial), float(t[still][0])
     one = Relaxation(
         moved=moved,
@@ -212,7 +213,7 @@ def _one(
         blunted={},
         unseen={name: _unseen(t[moving], y, ramp.t, over) for name, y in peaks.items()},
         sampled=abs(float(away[place] - away[max(0, place - 1)])),
-        pressure_peak=float(off[np.argmax(np.abs(off))]) if known else float("nan"),
+        pressure_peak=most if known else float("nan"),
         pressure_noise=noise_of(P[moving]) if known else 0.0,
         force_back=back,
         pressure_back=recovery(on_way, P[still]) if known else None,
@@ -228,11 +229,13 @@ def _one(
 
 
 def _after(t: Array, y: Array, over: float, lag: float) -> float:
-    """Time from the end of the motion, at `over` [s], to the peak of `y` (n,); 0 if a filter of `lag` [s] does that."""
-    end, peak = int(np.searchsorted(t, over)), int(np.argmax(y))
-    rises = float(y[peak] - y[max(0, end - 2) : end + 3].mean()) > SEEN * noise_of(y)
+    """Time from the end of the motion, at `over` [s], to the peak of `y` (n,); 0 if a filter of `lag` [s] does that, or
+    if `y` does not come back from there.
+    """
+    end, peak, rest = int(np.searchsorted(t, over)), int(np.argmax(y)), int((1 - LAST) * len(y))
+    others = max(float(part.mean()) for part in (y[max(0, end - 2) : end + 3], y[rest:]))
     time = float(t[peak]) - over
-    return time if rises and time > GOES_ON * lag else 0.0
+    return time if y[peak] - others > SEEN * noise_of(y) and time > GOES_ON * lag else 0.0
 
 
 def _unseen(t: Array, y: Array, begin: float, over: float) -> float:
