@@ -160,9 +160,6 @@ def test_a_displacement_that_is_off_its_command_throughout_is_a_doubt():
     assert len(doubts(slipped, "2 mm off the place where it was sent")) == 1
 
 
-<<<<<<< HEAD
-@pytest.mark.parametrize("seed", range(2))
-=======
 @pytest.mark.parametrize("imported", [False, True])
 @pytest.mark.parametrize("gain", [0.015, 0.06, -0.05])
 @pytest.mark.parametrize("channel", ["displacement", "displacement_command"])
@@ -181,8 +178,7 @@ def test_a_scale_that_differs_from_the_command_throughout_is_in_the_intervals(ch
         assert not wrong(analysis, truth)
 
 
-@pytest.mark.parametrize("seed", range(3))
->>>>>>> mendb
+@pytest.mark.parametrize("seed", range(2))
 def test_nothing_is_said_of_good_ramps_and_their_values_stay_sharp(seed):
     (analysis,) = reduce_runs([ramps(good, seed)])
     assert not wrong(analysis, truth)

@@ -67,9 +67,8 @@ def regulated(run: RunData) -> Change | None:
         f"{run.id}: at rest the pressure reads {share:+.1%} off its command{where}: the gauge or the regulator is off. "
         "Intervals hold either. Compare the gauge with another one"
     )
-<<<<<<< HEAD
     gain, offset = (0.0, -MORE * share * level) if where else (1 / (1 + MORE * share) - 1, 0.0)
-    return Change(PRESSURE, gain, offset, 0.0, text, "gauge against command", inf)
+    return Change(PRESSURE, gain, offset, 0.0, text, "gauge against command", inf, throughout=True)
 
 
 def vented(run: RunData) -> Change | None:
@@ -88,7 +87,7 @@ def vented(run: RunData) -> Change | None:
         f"{run.id}: vented, the gauge reads {show(level, PRESSURE, 2)}: its zero, or a regulator that does not vent. "
         "Intervals hold both. Vent the muscle and take the zero of the gauge"
     )
-    return Change(PRESSURE, 0.0, -level, 0.0, text, "zero of the gauge", inf)
+    return Change(PRESSURE, 0.0, -level, 0.0, text, "zero of the gauge", inf, throughout=True)
 
 
 def _top(run: RunData) -> tuple[int, float]:
@@ -96,9 +95,6 @@ def _top(run: RunData) -> tuple[int, float]:
     every = max(1, round(run.rate / RATE)) if isfinite(run.rate) else 1
     sent = [t.channels[SENT][::every] for t in run.trials if SENT in t.channels and PRESSURE in t.channels]
     return every, max((float(np.nanmax(one)) for one in sent if np.isfinite(one).any()), default=0.0)
-=======
-    return Change(PRESSURE, 1 / (1 + MORE * share) - 1, 0.0, 0.0, text, "gauge against command", inf, throughout=True)
->>>>>>> mendb
 
 
 def _rests(trial: TrialData, top: float, every: int) -> Iterator[tuple[float, float]]:

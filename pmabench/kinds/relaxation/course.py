@@ -262,7 +262,7 @@ def measure(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Cours
     found = min((Vented(t - step.t, F, risen, holds, *form) for form in forms), key=lambda each: abs(each.end))
     info = run.channels.get("force")
     declared = info.offset_uncertainty if info else 0.0
-    passed = max(1.0, float((t[-1] - run.trials[0].t[0]) / (t[-1] - t[0])))
+    passed = max(1.0, float((t[-1] - min(other.t[0] for other in run.trials if len(other.t))) / (t[-1] - t[0])))
     return replace(
         course,
         zero=found.zero,

@@ -73,14 +73,14 @@ class Relaxing:
         What the line through the medians of the next samples before and after has, is no step.
         """
         over, n = np.log10(self.t), JUMPS_OVER
+        if len(self.y) < 4 * n:
+            return 0.0, 0.0
 
         def steps(y: Array) -> Array:
             near = np.median(np.lib.stride_tricks.sliding_window_view(y, n), axis=1)
             return np.asarray(1.5 * (near[2 * n : -n] - near[n : -2 * n] - (near[3 * n :] - near[: -3 * n]) / 3))
 
         found, beyond = steps(self.y), np.abs(steps(self.y - np.polyval(np.polyfit(over, self.y, 1), over)))
-        if not len(found):
-            return 0.0, 0.0
         least = max(JUMPS * float(np.median(beyond)) / 0.6745, LEAST_JUMP * abs(float(self.y.mean())))
         place = int(np.argmax(np.abs(found) * (beyond > least)))
         return (float(found[place]), float(self.t[place + 2 * n])) if beyond[place] > least else (0.0, 0.0)
