@@ -508,7 +508,9 @@ def resting(samples: Samples, trial: TrialData) -> NDArray[np.bool_]:
 
 
 def _second_halves(trial: TrialData) -> list[slice]:
-    """The second half of the hold after each pressure command."""
+    """The second half of the hold after each pressure command; where none is recorded, the end of the trial."""
+    if not trial.commands:
+        return [settled(trial)]
     return [slice((rows.start + rows.stop) // 2, rows.stop) for rows in strokes(trial)]
 
 
