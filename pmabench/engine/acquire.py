@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError, LimitRefused, LimitTripped, PmaError, RecordError
+from pmabench.base.quantities import CHANNEL_QUANTITY
 from pmabench.bench.interface import Block, CompiledBench, Stream
 from pmabench.engine.commanded import Commanded
 from pmabench.engine.recorder import Forgiving, Recorder
@@ -92,7 +93,7 @@ class Acquisition:
         self._bench = bench
         self._tripped: Exception | None = None
         self.doubted = ""
-        """Channel that reads low, and does not follow its command or stands still: it confirms no vent; or empty."""
+        """Pressure that reads low, and does not follow its command or stands still: it confirms no vent; or empty."""
         self._lock = threading.RLock()
         self._stop: Stop | None = None
         self._stopped: float | None = None
@@ -392,9 +393,11 @@ class Acquisition:
     def _act(self, trips: Sequence[Trip]) -> None:
         """Carry out the actions of the limits: warn, hold, or end the run."""
         for trip in trips:
-            if trip.limit.kind in {"following", "frozen"}:
-                low = trip.value < self._bench.hands_below
-                self.doubted = trip.limit.channel if low and not trip.over else ""
+            if trip.limit.kind in {"following", "frozen"} and CHANNEL_QUANTITY[trip.limit.channel] == "pressure":
+                if trip.value < self._bench.hands_below and not trip.over:
+                    self.doubted = self.doubted or trip.limit.channel
+                elif self.doubted == trip.limit.channel:
+                    self.doubted = ""
             if trip.limit.action in ENDS:
                 self._tripped = Tripped(trip)
                 if trip.limit.action == "vent":

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pmabench.bench.interface import ChannelRecord, Scale, TripRecord
+from pmabench.engine.acquire import Acquisition
 from pmabench.engine.commanded import SETTLES, Commanded
 from pmabench.engine.watch import Trip, Watch
 
@@ -398,3 +400,18 @@ def test_a_pressure_that_is_too_high_waits_for_no_ramp(kind, channel, value, too
     high = {"range": 650e3, "following": 50e3}.get(kind)
     made = TripRecord(channel, -30e3 if kind == "range" else None, high, 0.1, "vent", kind=kind)
     assert Trip(made, 0, 1.0, value).too_high(commanded) == too_high
+
+
+def test_what_another_channel_does_leaves_the_doubt_of_a_gauge():
+    """A force that stood still took its place, and cleared it by moving again: the dead gauge confirmed the vent."""
+    acquisition = Acquisition.__new__(Acquisition)
+    acquisition._bench = SimpleNamespace(hands_below=10e3)
+    acquisition._recorder = SimpleNamespace(event=lambda *_, **__: None)
+    acquisition.doubted, acquisition.holding = "", set()
+    gauge, cell = (TripRecord(name, None, None, 5.0, "warn", "bench.yaml", "frozen") for name in ("pressure", "force"))
+    seen = []
+    for trip in (Trip(gauge, 0, 10.0, 0.0), Trip(cell, 0, 11.0, 350.0), Trip(cell, 0, 12.0, 351.0, over=True),
+                 Trip(gauge, 0, 13.0, 50e3, over=True)):  # fmt: skip
+        acquisition._act([trip])
+        seen.append(acquisition.doubted)
+    assert seen == ["pressure", "pressure", "pressure", ""]
