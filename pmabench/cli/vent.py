@@ -146,24 +146,29 @@ def _vent(ui: Ui, station: Station, saved: dict[str, Any], began: float) -> Vent
     """Vent a bench by its guard; without one, by the guard of another bench that holds its devices, or directly."""
     if (vented := _by_guard(ui, station, saved, began)) is not None:
         return vented
-    for other in stations():
-        if other.folder == station.folder or not other.read("guard"):
-            continue
-        its = other.read("bench")
-        shared = _places(saved) & _places(its)
-        if shared and _held(shared):
+    others = [other for other in stations() if other.folder != station.folder and other.read("guard")]
+    mine = _places(saved) if others else set()
+    for other in others:
+        try:
+            its = other.read("bench")
+            has = _places(its, resolve=False) | set(other.read("state").get("devices", ()))
+            if not _held(mine & has):
+                continue
             vented = _by_guard(ui, other, its, began) or _directly(other, its, began)
-            if _places(saved) <= _places(its):
-                way = f'{vented.way} (of "{vented.bench}", which has its devices)'
-                return replace(vented, bench=saved["name"], way=way)
+        except Exception as error:  # of another bench: this one is vented in any case
+            ui.note(f"{other.folder.name}: {error}")
+            continue
+        if mine <= has:
+            way = f'{vented.way} (of "{vented.bench}", which has its devices)'
+            return replace(vented, bench=saved["name"], way=way)
     return _directly(station, saved, began)
 
 
-def _places(saved: dict[str, Any]) -> set[str]:
-    """Addresses of the devices of a compiled bench, as they are locked."""
+def _places(saved: dict[str, Any], *, resolve: bool = True) -> set[str]:
+    """Addresses of the devices of a compiled bench, as they are locked; host names looked up, which may take seconds."""
     from pmabench.bench.interface import place
 
-    return {place(device["address"], device["options"]) for device in saved.get("devices", ())} - {""}
+    return {place(each["address"], each["options"], resolve=resolve) for each in saved.get("devices", ())} - {""}
 
 
 def _held(places: Iterable[str]) -> str:

@@ -1,7 +1,9 @@
 """`pmabench vent` without a bench: none waits for another, one with a guard goes first, and a failure hides none."""
 
 import os
+import socket
 import threading
+from types import SimpleNamespace
 
 import pytest
 
@@ -107,6 +109,35 @@ def test_the_guard_of_another_bench_that_has_the_devices_vents_them(monkeypatch,
     vented = vent._vent(None, Station("second rig"), saved("second rig", *ports), 0.0)
     assert reached == asked
     assert (vented.bench, vented.way) == ("second rig", way)
+
+
+def test_an_error_of_another_bench_hinders_no_vent(monkeypatch, in_use):
+    noted = []
+
+    def directly(_station, about, _began):
+        if about["name"] == "first rig":
+            raise DeviceError("plant", "its driver cannot be loaded")
+        return reported(about["name"])
+
+    monkeypatch.setattr(vent, "_by_guard", lambda *_: None)
+    monkeypatch.setattr(vent, "_directly", directly)
+    ui = SimpleNamespace(note=noted.append)
+    assert vent._vent(ui, Station("second rig"), saved("second rig", 5020), 0.0) == reported("second rig")
+    assert ["cannot be loaded" in text for text in noted] == [True]
+    Station("first rig").write("bench", {"devices": [{"where": "of another version"}]})
+    assert vent._vent(ui, Station("second rig"), saved("second rig", 5020), 0.0) == reported("second rig")
+
+
+def test_no_host_name_of_another_bench_is_looked_up_before_a_vent(monkeypatch, in_use):
+    """That takes seconds without a name server; what was looked up when that bench was armed is kept."""
+    first = Station("first rig")
+    first.write("bench", {"name": "first rig", "devices": [{"address": "rig.lab:5020", "options": {}}]})
+    first.write("state", {"devices": ["127.0.0.1:5020 unit 1"]})
+    asked = []
+    monkeypatch.setattr(socket, "gethostbyname", lambda host: asked.append(host) or host)
+    monkeypatch.setattr(vent, "_by_guard", lambda _ui, s, about, _: reported("first") if s.read("guard") else None)
+    assert "of \"first\"" in vent._vent(None, Station("second rig"), saved("second rig", 5020), 0.0).way
+    assert asked == ["127.0.0.1"]
 
 
 def test_a_bench_is_not_reset_while_a_program_has_its_device(monkeypatch, in_use):
