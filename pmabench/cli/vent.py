@@ -165,7 +165,7 @@ def _vent(ui: Ui, station: Station, saved: dict[str, Any], began: float) -> Vent
 
 
 def _places(saved: dict[str, Any], *, resolve: bool = True) -> set[str]:
-    """Addresses of the devices of a compiled bench, as they are locked; host names looked up, which may take seconds."""
+    """Addresses of the devices of a compiled bench, as they are locked; looking up host names may take seconds."""
     from pmabench.bench.interface import place
 
     return {place(each["address"], each["options"], resolve=resolve) for each in saved.get("devices", ())} - {""}

@@ -136,7 +136,7 @@ def test_no_host_name_of_another_bench_is_looked_up_before_a_vent(monkeypatch, i
     asked = []
     monkeypatch.setattr(socket, "gethostbyname", lambda host: asked.append(host) or host)
     monkeypatch.setattr(vent, "_by_guard", lambda _ui, s, about, _: reported("first") if s.read("guard") else None)
-    assert "of \"first\"" in vent._vent(None, Station("second rig"), saved("second rig", 5020), 0.0).way
+    assert 'of "first"' in vent._vent(None, Station("second rig"), saved("second rig", 5020), 0.0).way
     assert asked == ["127.0.0.1"]
 
 
