@@ -436,10 +436,10 @@ class SafeState:
         elif not again:
             self._again[self._at_once(sent.action) if sent.action.do == "ramp" else sent.action] = sent
             self.fault(f"{name}: failed ({wrong})")
-        busy = isinstance(way.error, Busy) and target in self.missing  # the second time: it stays busy
+        busy = isinstance(way.error, Busy) and target in self.unsettled  # the second time: it stays busy
         refuses = bool(wrong and (sent.said() or busy or isinstance(way.error, NotSent)))
         (self.refusing.add if refuses else self.refusing.discard)(target)
-        if wrong and not refuses:
+        if wrong and (busy or not refuses):
             self.missing.setdefault(target, now)
         else:
             self.missing.pop(target, None)

@@ -726,6 +726,25 @@ def test_a_device_that_is_busy_is_asked_a_second_time_before_its_line_is_closed(
     assert guard.state is State.TRIPPED
 
 
+def test_a_device_that_stays_busy_without_a_watchdog_is_opened_again():
+    """At every second repeat it counted as one that does not answer for the first time."""
+    device = replace(DEVICE, outputs=(OUTPUT,), watchdog=0.0)
+    guard, rig = armed(bench(device, safe_state=(SAFE[1], SafeAction("confirm", "pressure", 20e3, 5.0))))
+    guard.set("pressure", 300e3)
+    rig.wrong |= dict.fromkeys(("write", "rescue"), Busy("dac", "exception 6"))
+    rig.reported.clear()
+    guard.begin_safe()
+    refusing = []
+    while not rig.values("close") and len(refusing) < 20:
+        assert advance(guard, 0.11, HIGH) is None
+        refusing.append("pressure" in guard._safe.refusing)
+    assert 7 <= len(refusing) <= 11, "after 0.8 s"
+    assert refusing == sorted(refusing), "it changes its mind"
+    advance(guard, 0.3, HIGH)
+    assert Rig.made["dac"] is not rig
+    assert ("write", "p", 0.0) in Rig.made["dac"].reported
+
+
 def test_a_device_that_cannot_be_opened_again_is_tried_again():
     guard, rig = armed()
     guard.set("pressure", 300e3)
