@@ -230,7 +230,7 @@ class SafeState:
 
         With `how` above 1 not for long either: the wait for them ends as soon as no late command can come any more.
         """
-        self._longest = LINGERS if how > 1 else self._longest
+        self._longest = LINGERS if how > 1 and any(a.within > LINGERS for a in self._finals) else self._longest
         left = (action for action in self._todo if action.do not in {"hold", *LOOKS})
         self._todo = [self._at_once(action) if action.do == "ramp" else action for action in left]
 

@@ -171,6 +171,15 @@ def test_a_second_signal_ends_the_wait_for_confirmations_and_a_first_one_does_no
     )
 
 
+def test_a_wait_that_the_bench_file_ends_was_not_ended_on_request():
+    guard, _ = armed(bench(safe_state=SAFE))
+    guard.set("pressure", 200e3)
+    guard.begin_safe(hurry=2)
+    guard.step_safe({})
+    vent = advance(guard, SAFE[-1].within + 0.1, HIGH)
+    assert vent.actions[-1] == "confirm pressure: 300 kPa, not below 20 kPa within 1 s"
+
+
 def test_whoever_hurries_before_a_late_command_can_come_still_learns_that_the_bench_is_safe():
     guard, _ = armed(bench(safe_state=PATIENT))
     guard.set("pressure", 200e3)
