@@ -109,7 +109,7 @@ def _range(c: Compilation, name: str, limit: LimitFile, channel: ChannelRecord) 
     if low is not None:
         _inside(c, (*at, "trip_low"), low, channel)
         _below_commands(c, name, low, channel)
-        if low >= 0 and quantity != "supply":  # all else rests at 0
+        if low >= 0 and quantity != "supply" and limit.action in ENDS:  # all else rests at 0
             c.fault((*at, "trip_low"), "a value below zero is expected: the bench would trip where it rests")
     if limit.delay > LONGEST_DELAY and limit.action in ENDS:
         c.fault((*at, "delay"), f"is longer than {LONGEST_DELAY:g} s: that is no protection")

@@ -120,12 +120,12 @@ def _from_file(bench: str, known: list[str]) -> tuple[Station, dict[str, Any]]:
 
 def _all_at_once(ui: Ui, found: list[tuple[Station, dict[str, Any]]], began: float) -> list[Vented]:
     """Vent each bench in its own thread: none waits for another. Raises the first error when all are done."""
-    vented: dict[int, Vented] = {}
+    vented: dict[int, list[Vented]] = {number: [] for number in range(len(found))}
     errors: dict[int, Exception] = {}
 
     def vent(number: int, station: Station, saved: dict[str, Any]) -> None:
         try:
-            vented[number] = _vent(ui, station, saved, began)
+            vented[number].extend(_vent(ui, station, saved, began))  # keeps what comes before an error
         except Exception as error:  # raised below
             errors[number] = error
 
@@ -135,35 +135,46 @@ def _all_at_once(ui: Ui, found: list[tuple[Station, dict[str, Any]]], began: flo
         thread.start()
     for thread in threads:
         thread.join()
+    done = [item for items in vented.values() for item in items]
     if errors:
-        for number in sorted(vented):
-            _print([vented[number]])
+        _print(done)
         raise errors[min(errors)]
-    return [vented[number] for number in sorted(vented)]
+    return done
 
 
-def _vent(ui: Ui, station: Station, saved: dict[str, Any], began: float) -> Vented:
-    """Vent a bench by its guard; without one, by the guard of another bench that holds its devices, or directly."""
+def _vent(ui: Ui, station: Station, saved: dict[str, Any], began: float) -> Iterator[Vented]:
+    """Vent a bench by its guard; without one, by the guard of another bench that holds its devices, or directly.
+
+    Another bench that has only some of its devices is vented first, and comes first: its run has ended.
+    """
     if (vented := _by_guard(ui, station, saved, began)) is not None:
-        return vented
-    for other in stations():
-        if other.folder == station.folder or not other.read("guard"):
-            continue
-        its = other.read("bench")
-        shared = _places(saved) & _places(its)
-        if shared and _held(shared):
+        yield vented
+        return
+    others = [other for other in stations() if other.folder != station.folder and other.read("guard")]
+    mine = _places(saved) if others else set()
+    for other in others:
+        try:
+            its = other.read("bench")
+            has = _places(its, resolve=False) | set(other.read("state").get("devices", ()))
+            if not _held(mine & has):
+                continue
             vented = _by_guard(ui, other, its, began) or _directly(other, its, began)
-            if _places(saved) <= _places(its):
-                way = f'{vented.way} (of "{vented.bench}", which has its devices)'
-                return replace(vented, bench=saved["name"], way=way)
-    return _directly(station, saved, began)
+        except Exception as error:  # of another bench: this one is vented in any case
+            ui.note(f"{other.folder.name}: {error}")
+            continue
+        if mine <= has:
+            way = f'{vented.way} (of "{vented.bench}", which has its devices)'
+            yield replace(vented, bench=saved["name"], way=way)
+            return
+        yield vented
+    yield _directly(station, saved, began)
 
 
-def _places(saved: dict[str, Any]) -> set[str]:
-    """Addresses of the devices of a compiled bench, as they are locked."""
+def _places(saved: dict[str, Any], *, resolve: bool = True) -> set[str]:
+    """Addresses of the devices of a compiled bench, as they are locked; looking up host names may take seconds."""
     from pmabench.bench.interface import place
 
-    return {place(device["address"], device["options"]) for device in saved.get("devices", ())} - {""}
+    return {place(each["address"], each["options"], resolve=resolve) for each in saved.get("devices", ())} - {""}
 
 
 def _held(places: Iterable[str]) -> str:

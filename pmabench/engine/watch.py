@@ -110,6 +110,8 @@ class _Watched:
         """Samples of earlier blocks (`t`, `kept`) within the limit's window."""
         self.last: float | None = None
         self.changed = 0.0
+        self.every = 0.0
+        """Shortest time between two new values [s], 0 while unknown; a slow gauge's is above `LEAST`."""
         self.high: tuple[float, float] | None = None
         """Since when the value is too far above its command without falling [s], and its value then."""
 
@@ -262,12 +264,16 @@ class Watch:
         for index in range(len(t)):
             moment, value = float(t[index]), float(samples[index])
             asked = self._asked(limit.channel, moment)
+            if value == value != watched.last:
+                first = watched.last is None
+                watched.every = 0.0 if first else min(watched.every or math.inf, moment - watched.changed)
+                watched.last, watched.changed = value, moment
             at_rest = pressure and limit.action != "warn" and asked <= self._rest
             if not value - asked > most or not (at_rest or limit.action == "hold"):
                 watched.high = None
             elif watched.high is None or value < watched.high[1] - FALLS * most:
                 watched.high = moment, value
-            elif moment - watched.high[0] >= (LEAST if at_rest else max(limit.delay, LEAST)):
+            elif moment - watched.high[0] >= max(LEAST, min(limit.delay, 2 * watched.every if at_rest else math.inf)):
                 return [Trip(replace(limit, kind="above", action="vent"), index, moment, value)]
         return []
 

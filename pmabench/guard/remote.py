@@ -168,7 +168,7 @@ class RemoteGuard:
         self._process: subprocess.Popen[bytes] | None = None
         self._here: dict[str, Any] = {}
         self._safe = False
-        self._doubted = ""
+        self._doubted, self._hurry = "", 0
         """As in `begin_safe`, in case the guard is lost."""
         self.hurried: Callable[[], int] = lambda: 0
         """Level of `begin_safe` that the operator has asked for since the last call; for a vent without the guard."""
@@ -274,7 +274,7 @@ class RemoteGuard:
 
     def begin_safe(self, *, tripped: bool = False, hurry: int = 0, why: str = "", doubted: str = "") -> None:
         """Have the guard begin the safe state; from any thread. `safe_state` waits for its end."""
-        self._safe, self._doubted = True, self._doubted or doubted
+        self._safe, self._doubted, self._hurry = True, self._doubted or doubted, max(self._hurry, hurry)
         with suppress(PmaError):
             self.ask("safe", tripped=tripped, hurry=hurry, why=why, doubted=doubted)
 
@@ -295,8 +295,9 @@ class RemoteGuard:
             if self._process is not None:
                 self._process.kill()  # its commands must not continue after this vent
             try:
-                lost = why or "the guard was lost"
-                self._vent = vent_directly(self.bench, Station(self.bench.name), lost, self._doubted, self.hurried)
+                lost, where = why or "the guard was lost", Station(self.bench.name)
+                hurried = lambda: max(self._hurry, self.hurried())  # noqa: E731
+                self._vent = vent_directly(self.bench, where, lost, self._doubted, hurried)
             except Exception as error:  # the run is closed in any case
                 self._vent = Vent("failed", (f"{type(error).__name__}: {error}",))
         return self._vent

@@ -230,7 +230,7 @@ class SafeState:
 
         With `how` above 1 not for long either: the wait for them ends as soon as no late command can come any more.
         """
-        self._longest = LINGERS if how > 1 else self._longest
+        self._longest = LINGERS if how > 1 and any(a.within > LINGERS for a in self._finals) else self._longest
         left = (action for action in self._todo if action.do not in {"hold", *LOOKS})
         self._todo = [self._at_once(action) if action.do == "ramp" else action for action in left]
 
@@ -436,10 +436,10 @@ class SafeState:
         elif not again:
             self._again[self._at_once(sent.action) if sent.action.do == "ramp" else sent.action] = sent
             self.fault(f"{name}: failed ({wrong})")
-        busy = isinstance(way.error, Busy) and target in self.missing  # the second time: it stays busy
+        busy = isinstance(way.error, Busy) and target in self.unsettled  # the second time: it stays busy
         refuses = bool(wrong and (sent.said() or busy or isinstance(way.error, NotSent)))
         (self.refusing.add if refuses else self.refusing.discard)(target)
-        if wrong and not refuses:
+        if wrong and (busy or not refuses):
             self.missing.setdefault(target, now)
         else:
             self.missing.pop(target, None)

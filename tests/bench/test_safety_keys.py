@@ -145,6 +145,14 @@ def test_a_value_of_another_size_than_benches_have_is_refused_at_its_place(tmp_p
     assert new.splitlines()[0] in path.read_text().splitlines()[problem.line - 1]
 
 
+@pytest.mark.parametrize("action", ["warn", "hold"])
+def test_a_lower_bound_above_rest_that_ends_nothing_is_accepted(tmp_path, action):
+    """A rope that goes slack: the bench only warns or waits where it rests."""
+    path = rig(tmp_path, old="trip: 1900 N, action: stop", new=f"trip: 1900 N, trip_low: 5 N, action: {action}")
+    (found,) = [trip for trip in mount(path, SPECIMEN).bench.trips if (trip.channel, trip.kind) == ("force", "range")]
+    assert (found.low, found.high, found.action) == (5.0, 1900.0, action)
+
+
 DRIVEN = (
     "free_end: actuator\nweights: null\nactuator: {stroke: [-2 mm, 60 mm], speed: 500 mm/s, force: 1500 N}\n"
     "outputs:\n  displacement: {device: daq, output: x, scale: [[0 mm, 0 mm], [60 mm, 60 mm]]}\n"

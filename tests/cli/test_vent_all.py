@@ -1,7 +1,9 @@
 """`pmabench vent` without a bench: none waits for another, one with a guard goes first, and a failure hides none."""
 
 import os
+import socket
 import threading
+from types import SimpleNamespace
 
 import pytest
 
@@ -37,7 +39,7 @@ def test_a_bench_that_hangs_holds_no_other_up(monkeypatch):
         if station.name == "live":
             vented.set()
         assert vented.wait(PATIENCE), "the bench in use waited for the dead one"
-        return reported(station.name)
+        yield reported(station.name)
 
     monkeypatch.setattr(vent, "_vent", one)
     found = [(Bench("dead", guard=False), {}), (Bench("live", guard=True), {})]
@@ -48,13 +50,14 @@ def test_a_bench_that_hangs_holds_no_other_up(monkeypatch):
 def test_what_fails_is_raised_after_all_others_were_vented(monkeypatch, capsys):
     def one(_ui, station, _saved, _began):
         if station.name == "a":
+            yield reported("another on the way")
             raise DeviceError("plant", "its driver cannot be loaded")
-        return reported(station.name)
+        yield reported(station.name)
 
     monkeypatch.setattr(vent, "_vent", one)
     with pytest.raises(DeviceError, match="cannot be loaded"):
         vent._all_at_once(None, [(Bench("a", guard=False), {}), (Bench("b", guard=False), {})], 0.0)
-    assert "b: confirmed" in capsys.readouterr().out
+    assert "another on the way: confirmed, by here\n  set pressure: sent\nb: confirmed" in capsys.readouterr().out
 
 
 def saved(name, *ports):
@@ -89,7 +92,7 @@ def in_use(monkeypatch, tmp_path):
     ],
 )
 def test_the_guard_of_another_bench_that_has_the_devices_vents_them(monkeypatch, in_use, ports, answers, asked, way):
-    """Nobody else can reach them; what that bench has not is vented afterwards."""
+    """Nobody else can reach them; what that bench has not is vented afterwards, and both are reported."""
     reached = []
 
     def by_guard(_ui, station, about, _began):
@@ -104,9 +107,40 @@ def test_the_guard_of_another_bench_that_has_the_devices_vents_them(monkeypatch,
 
     monkeypatch.setattr(vent, "_by_guard", by_guard)
     monkeypatch.setattr(vent, "_directly", directly)
-    vented = vent._vent(None, Station("second rig"), saved("second rig", *ports), 0.0)
+    *before, vented = vent._vent(None, Station("second rig"), saved("second rig", *ports), 0.0)
     assert reached == asked
     assert (vented.bench, vented.way) == ("second rig", way)
+    assert [item.bench for item in before] == [name for name in asked[:-1] if asked[-1] == "direct second rig"]
+
+
+def test_an_error_of_another_bench_hinders_no_vent(monkeypatch, in_use):
+    noted = []
+
+    def directly(_station, about, _began):
+        if about["name"] == "first rig":
+            raise DeviceError("plant", "its driver cannot be loaded")
+        return reported(about["name"])
+
+    monkeypatch.setattr(vent, "_by_guard", lambda *_: None)
+    monkeypatch.setattr(vent, "_directly", directly)
+    ui = SimpleNamespace(note=noted.append)
+    assert list(vent._vent(ui, Station("second rig"), saved("second rig", 5020), 0.0)) == [reported("second rig")]
+    assert ["cannot be loaded" in text for text in noted] == [True]
+    Station("first rig").write("bench", {"devices": [{"where": "of another version"}]})
+    assert list(vent._vent(ui, Station("second rig"), saved("second rig", 5020), 0.0)) == [reported("second rig")]
+
+
+def test_no_host_name_of_another_bench_is_looked_up_before_a_vent(monkeypatch, in_use):
+    """That takes seconds without a name server; what was looked up when that bench was armed is kept."""
+    first = Station("first rig")
+    first.write("bench", {"name": "first rig", "devices": [{"address": "rig.lab:5020", "options": {}}]})
+    first.write("state", {"devices": ["127.0.0.1:5020 unit 1"]})
+    asked = []
+    monkeypatch.setattr(socket, "gethostbyname", lambda host: asked.append(host) or host)
+    monkeypatch.setattr(vent, "_by_guard", lambda _ui, s, about, _: reported("first") if s.read("guard") else None)
+    (vented,) = vent._vent(None, Station("second rig"), saved("second rig", 5020), 0.0)
+    assert 'of "first"' in vented.way
+    assert asked == ["127.0.0.1"]
 
 
 def test_a_bench_is_not_reset_while_a_program_has_its_device(monkeypatch, in_use):

@@ -380,6 +380,21 @@ def test_a_pressure_that_stays_where_a_vented_muscle_is_commanded_is_vented(acti
     assert (trip.limit.action, round(trip.t, 2)) == found
 
 
+@pytest.mark.parametrize("stuck", [False, True])
+@pytest.mark.parametrize(("every", "waits"), [(0.02, 0.5), (0.6, 1.2), (1.0, 2.0)])
+def test_a_gauge_that_is_seldom_new_does_not_show_a_fall_at_once(every, waits, stuck):
+    """A regulator with a lag of 0.3 s is left alone; one that sticks is vented after two new values, at least 0.5 s."""
+    t = np.arange(0.0, 12.0, 1 / RATE)
+    for late in np.linspace(0.0, 0.9 * every, 7):
+        read = np.maximum(every * np.floor((t + late) / every + 1e-6) - late, 0.0)
+        rises = 6e5 * -np.expm1(-np.maximum(read - 1.0, 0.0) / 0.3)
+        pressure = rises * (np.exp(-np.maximum(read - 7.0, 0.0) / 0.3) if not stuck else 1.0)
+        commanded = commands((0.0, 0.0), (1.0, 6e5), (7.0, 0.0))
+        watch = Watch([limit("following", high=60e3, delay=3.0, action="stop")], [CHANNEL], commanded, 20e3)
+        found = [(trip.limit.action, trip.t) for trip in watch.look(t, {"pressure": pressure})]
+        assert found == ([("vent", pytest.approx(7.0 + waits, abs=0.01))] if stuck else [])
+
+
 @pytest.mark.parametrize(
     ("kind", "channel", "value", "too_high"),
     [

@@ -222,11 +222,17 @@ def test_the_engine_passes_on_which_gauge_it_doubted(monkeypatch):
     assert guard.safe_state(dict, why="following").result == "commanded"
 
 
-def test_a_second_signal_ends_the_wait_without_a_guard_too():
+@pytest.mark.parametrize("lost", [True, False])
+def test_a_second_signal_ends_the_wait_without_a_guard_too(lost):
+    """Also one whose message went to the guard that was dying: the signal is not asked for twice."""
     patient = (*BENCH.safe_state[:-1], replace(BENCH.safe_state[-1], within=60.0))
     station(what="armed", run="r")
     guard = RemoteGuard(bench(replace(DEVICE, driver=f"{__name__}:Full"), safe_state=patient), RealClock())
-    guard.hurried = lambda: 2
+    if lost:
+        guard.begin_safe(hurry=2)
+        guard.begin_safe(hurry=1)
+    else:
+        guard.hurried = lambda: 2
     began = time.monotonic()
     assert guard.safe_state(dict, why="lost").result == "commanded"
     assert time.monotonic() - began < 30.0

@@ -171,6 +171,15 @@ def test_a_second_signal_ends_the_wait_for_confirmations_and_a_first_one_does_no
     )
 
 
+def test_a_wait_that_the_bench_file_ends_was_not_ended_on_request():
+    guard, _ = armed(bench(safe_state=SAFE))
+    guard.set("pressure", 200e3)
+    guard.begin_safe(hurry=2)
+    guard.step_safe({})
+    vent = advance(guard, SAFE[-1].within + 0.1, HIGH)
+    assert vent.actions[-1] == "confirm pressure: 300 kPa, not below 20 kPa within 1 s"
+
+
 def test_whoever_hurries_before_a_late_command_can_come_still_learns_that_the_bench_is_safe():
     guard, _ = armed(bench(safe_state=PATIENT))
     guard.set("pressure", 200e3)
@@ -724,6 +733,25 @@ def test_a_device_that_is_busy_is_asked_a_second_time_before_its_line_is_closed(
         vent = advance(guard, 0.1, LOW)
     assert vent.result == result
     assert guard.state is State.TRIPPED
+
+
+def test_a_device_that_stays_busy_without_a_watchdog_is_opened_again():
+    """At every second repeat it counted as one that does not answer for the first time."""
+    device = replace(DEVICE, outputs=(OUTPUT,), watchdog=0.0)
+    guard, rig = armed(bench(device, safe_state=(SAFE[1], SafeAction("confirm", "pressure", 20e3, 5.0))))
+    guard.set("pressure", 300e3)
+    rig.wrong |= dict.fromkeys(("write", "rescue"), Busy("dac", "exception 6"))
+    rig.reported.clear()
+    guard.begin_safe()
+    refusing = []
+    while not rig.values("close") and len(refusing) < 20:
+        assert advance(guard, 0.11, HIGH) is None
+        refusing.append("pressure" in guard._safe.refusing)
+    assert 7 <= len(refusing) <= 11, "after 0.8 s"
+    assert refusing == sorted(refusing), "it changes its mind"
+    advance(guard, 0.3, HIGH)
+    assert Rig.made["dac"] is not rig
+    assert ("write", "p", 0.0) in Rig.made["dac"].reported
 
 
 def test_a_device_that_cannot_be_opened_again_is_tried_again():
