@@ -64,6 +64,18 @@ SOUND = {
 }  # fmt: skip
 
 
+@pytest.mark.parametrize("rate", [100.0, 200.0, 1000.0])
+@pytest.mark.parametrize("f", [4.5, 5.0, 5.7, 6.3, 7.7, 9.0])
+def test_a_motion_that_reverses_often_is_no_noise(f, rate):
+    """10 um counts at rest for 4 s, then a sine of 0.8 mm; 0.1 N counts under a weight, and a vibration of 0.4 N."""
+    t = np.arange(0.0, 12.0, 1 / rate)
+    for rest, swing, count in ((12.34, 0.8, 0.01), (20.03, 0.4, 0.1)):
+        y = np.where(t < 4.0, rest, rest + 3 + swing * np.sin(2 * np.pi * f * (t - 4.0)))
+        y = y + (count > 0.05) * np.random.default_rng(2).normal(0.0, 0.01, len(t))
+        y[0] = 0.0
+        assert repeated([run(np.round(y / count) * count, t=t)]) == ()
+
+
 @pytest.mark.parametrize("name", SOUND)
 def test_what_rests_is_not_named(name):
     assert repeated([run(*SOUND[name])]) == ()

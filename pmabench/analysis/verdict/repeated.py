@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pmabench.analysis.shared.samples import noise_of
 from pmabench.base.quantities import show
 from pmabench.store.analyses.results import Finding
 from pmabench.store.records import Array, ChannelInfo, RunData, TrialData
@@ -17,12 +18,16 @@ from pmabench.store.records import Array, ChannelInfo, RunData, TrialData
 LASTS, SAMPLES = 1.0, 25
 """Least time [s] and number of samples with one reading: two in a row are usual, so many are not."""
 RATE, WINDOW = 20.0, 20
-"""Samples a second in which noise is looked for, and their number: they must reverse often, which a motion does not."""
+"""Samples a second in which noise is looked for, and their number: they must reverse often, and all readings in their
+time as well, which a motion does not.
+"""
 REVERSES = 0.4
 """Share of reversals from which on a window shows noise [1]; white noise has 2/3."""
 VALUES, SMALL = 5, 0.05
 """Least number of readings in such a window, so that it is no toggling of the last digit, and its largest span as a
 share of the channel's range [1]."""
+TINY = 1e-6
+"""Bend of a course that is none but rounding, as a share of its span [1]."""
 WINDOWS = 3
 """Least number of windows with noise."""
 
@@ -76,7 +81,7 @@ class _Measured:
     def __init__(self, trial: TrialData, values: Array) -> None:
         self._trial, self._values = trial, values
         span = float(trial.t[-1] - trial.t[0]) if len(trial.t) else 0.0
-        every = max(1, round(len(values) / (RATE * span))) if span > 0 else 1
+        every = self._every = max(1, round(len(values) / (RATE * span))) if span > 0 else 1
         self.some = values[::every][trial.usable[::every]]
         """`RATE` usable samples a second."""
 
@@ -92,13 +97,30 @@ class _Measured:
             yield _Still(trial, float(seconds[place]), float(values[begins[place]]))
 
     def noise(self, small: float) -> list[float]:
-        """Standard deviation in each window that shows noise at rest and spans at most `small` [SI]."""
-        windows = self.some[: len(self.some) // WINDOW * WINDOW].reshape(-1, WINDOW)
-        steps = np.sign(np.diff(windows))
-        reverses = np.mean(steps[:, 1:] * steps[:, :-1] < 0, axis=1)
+        """Standard deviation of the noise in each window that shows it at rest and spans at most `small` [SI]."""
+        kept, size = self._values[self._trial.usable], self._every * WINDOW
+        blocks = kept[: len(kept) // size * size].reshape(-1, size)
+        windows = blocks[:, :: self._every]
         readings = 1 + np.count_nonzero(np.diff(np.sort(windows)), axis=1)
-        noisy = (reverses >= REVERSES) & (np.ptp(windows, axis=1) <= small) & (readings >= VALUES)
-        return [float(scatter) for scatter in np.std(windows[noisy], axis=1)]
+        noisy = (_reversing(windows) >= REVERSES) & (np.ptp(windows, axis=1) <= small) & (readings >= VALUES)
+        each = (block[:: min(self._every, _new(block))] for block in blocks[noisy])
+        return [noise_of(samples) for samples in each if _reversing(samples) >= REVERSES]
+
+
+def _reversing(samples: Array) -> Array:
+    """Share of reversals along the last axis [1]."""
+    steps = np.sign(np.diff(samples))
+    return np.asarray(np.mean(steps[..., 1:] * steps[..., :-1] < 0, axis=-1))
+
+
+def _new(block: Array) -> int:
+    """Number of samples from one reading to the next, of a channel that a slower stream may give.
+
+    A reading that is held or interpolated bends the course once or twice, and nothing in between does.
+    """
+    bends = np.abs(np.diff(block, 2)) > TINY * np.ptp(block)
+    every = len(bends) / max(1, int(np.count_nonzero(bends)))
+    return 1 if every < 1.5 else 2 * round(every)
 
 
 def _longest(values: Array) -> int:
