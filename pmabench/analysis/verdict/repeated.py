@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from math import ceil
 
 import numpy as np
 
@@ -26,8 +27,6 @@ REVERSES = 0.4
 VALUES, SMALL = 5, 0.05
 """Least number of readings in such a window, so that it is no toggling of the last digit, and its largest span as a
 share of the channel's range [1]."""
-TINY = 1e-6
-"""Bend of a course that is none but rounding, as a share of its span [1]."""
 WINDOWS = 3
 """Least number of windows with noise."""
 
@@ -54,7 +53,7 @@ def _of_run(run: RunData) -> Iterator[str]:
     for name, info in run.channels.items():
         if name.endswith("_command"):
             continue
-        measured = [_Measured(trial, trial.channels[name]) for trial in run.trials if name in trial.channels]
+        measured = [_Measured(trial, trial.channels[name], info.rate) for trial in run.trials if name in trial.channels]
         if still := [stretch for one in measured for stretch in one.stretches()]:
             values = np.concatenate([one.some for one in measured])
             still = [stretch for stretch in still if stretch.value not in (0.0, np.nanmin(values), np.nanmax(values))]
@@ -76,12 +75,14 @@ def _sentence(run: RunData, info: ChannelInfo, still: Sequence[_Still], noise: f
 
 
 class _Measured:
-    """A channel in one trial [SI]."""
+    """A channel in one trial [SI]; `rate` of its own stream [Hz], 0 if that is unknown."""
 
-    def __init__(self, trial: TrialData, values: Array) -> None:
+    def __init__(self, trial: TrialData, values: Array, rate: float) -> None:
         self._trial, self._values = trial, values
         span = float(trial.t[-1] - trial.t[0]) if len(trial.t) else 0.0
         every = self._every = max(1, round(len(values) / (RATE * span))) if span > 0 else 1
+        self._own = min(every, ceil(len(values) / span / rate - 0.1)) or 1 if span * rate > 0 else 1
+        """Samples from one reading of its own stream to the next; those between are interpolated."""
         self.some = values[::every][trial.usable[::every]]
         """`RATE` usable samples a second."""
 
@@ -101,26 +102,16 @@ class _Measured:
         kept, size = self._values[self._trial.usable], self._every * WINDOW
         blocks = kept[: len(kept) // size * size].reshape(-1, size)
         windows = blocks[:, :: self._every]
-        readings = 1 + np.count_nonzero(np.diff(np.sort(windows)), axis=1)
-        noisy = (_reversing(windows) >= REVERSES) & (np.ptp(windows, axis=1) <= small) & (readings >= VALUES)
-        each = (block[:: min(self._every, _new(block))] for block in blocks[noisy])
-        return [noise_of(samples) for samples in each if _reversing(samples) >= REVERSES]
+        different = 1 + np.count_nonzero(np.diff(np.sort(windows)), axis=1)
+        noisy = (_reversing(windows) >= REVERSES) & (np.ptp(windows, axis=1) <= small) & (different >= VALUES)
+        readings = blocks[noisy, :: self._own]
+        return [noise_of(one) for one in readings[_reversing(readings) >= REVERSES]]
 
 
 def _reversing(samples: Array) -> Array:
     """Share of reversals along the last axis [1]."""
     steps = np.sign(np.diff(samples))
     return np.asarray(np.mean(steps[..., 1:] * steps[..., :-1] < 0, axis=-1))
-
-
-def _new(block: Array) -> int:
-    """Number of samples from one reading to the next, of a channel that a slower stream may give.
-
-    A reading that is held or interpolated bends the course once or twice, and nothing in between does.
-    """
-    bends = np.abs(np.diff(block, 2)) > TINY * np.ptp(block)
-    every = len(bends) / max(1, int(np.count_nonzero(bends)))
-    return 1 if every < 1.5 else 2 * round(every)
 
 
 def _longest(values: Array) -> int:
