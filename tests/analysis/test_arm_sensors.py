@@ -125,9 +125,23 @@ def test_creep_that_is_slower_than_a_hold_is_in_the_intervals(share, times):
     assert all(e.parts.combined is None for e in fits)
 
 
-def drifting(drift, repeats=4):
-    """Angles of loads in turn whose sensor's zero moves by `drift` from the first trial to the last [rad]."""
-    made = []
+def drifting(drift, days=(0.0,)):
+    """Angles of loads in turn whose sensor's zero moves by `drift` from the first trial of a day to its last [rad].
+
+    `days`: by how much it is off on each [rad]; a later day begins later in its run.
+    """
+    settings: dict[str, object] = {"preload": 50e3, "angle": "measured", "compare": "nothing"}
+    known = {name: facts for name, facts in KNOWN.items() if name != "displacement"}
+    runs = []
+    for day, off in enumerate(days):
+        trials = [replace(one, run=f"day {day}") for one in day_of(drift, off, 300.0 * day)]
+        runs.append(replace(as_run("arm-angle", trials, 50.0, settings, known), id=f"day {day}"))
+    return reduction.reduce(runs)
+
+
+def day_of(drift, off, late, repeats=4):
+    """The trials of one day, which begins at `late` [s]."""
+    made: list[TrialData] = []
     for load, number in ((load, number) for load in (0.0, 0.2) for number in range(repeats)):
         corners, levels = [0.0, 0.5], [0.0, 0.0]
         commands = []
@@ -138,16 +152,14 @@ def drifting(drift, repeats=4):
             levels += [level, level]
         t = np.arange(0, corners[-1], 0.02)
         P = np.interp(t, corners, levels)
-        rng = np.random.default_rng(len(made))
-        begin, share = 60.0 * len(made), len(made) / (2 * repeats - 1)
-        angle = (3e-6 - 2e-6 * load) * P + drift * share + rng.normal(0, 5e-4, len(t))
+        rng = np.random.default_rng(len(made) + int(late))
+        begin, share = late + 60.0 * len(made), len(made) / (2 * repeats - 1)
+        angle = (3e-6 - 2e-6 * load) * P + off + drift * share + rng.normal(0, 5e-4, len(t))
         channels = {"pressure": P + rng.normal(0, 300, len(t)), "angle": angle}
         commands = tuple(replace(one, t=begin + one.t) for one in commands)
         made.append(TrialData("a", len(made), {"tip_mass": load}, number, False, "finished", begin + t, channels,
                               np.zeros(len(t), dtype=np.uint16), commands, {}))  # fmt: skip
-    settings: dict[str, object] = {"preload": 50e3, "angle": "measured", "compare": "nothing"}
-    known = {name: facts for name, facts in KNOWN.items() if name != "displacement"}
-    return reduction.reduce([as_run("arm-angle", made, 50.0, settings, known)])
+    return made
 
 
 def test_a_zero_of_the_angle_that_drifts_from_trial_to_trial_is_held_and_said():
@@ -161,8 +173,15 @@ def test_a_zero_of_the_angle_that_drifts_from_trial_to_trial_is_held_and_said():
     assert any("zero of its sensor drifts" in f.text for f in analysis.findings if f.level == "doubt")
 
 
-def test_an_angle_without_drift_has_none():
-    analysis = drifting(0.0)
+def test_a_drift_within_each_of_two_days_is_held_and_said():
+    analysis = drifting(0.03, days=(0.0, 3.5e-3))
+    assert any("zero of its sensor drifts" in f.text for f in analysis.findings if f.level == "doubt")
+
+
+@pytest.mark.parametrize("days", [(0.0,), (0.0, 3.5e-3), (0.0, 0.02)])
+def test_an_angle_without_drift_has_none(days):
+    """Another zero on another day is no drift from trial to trial."""
+    analysis = drifting(0.0, days)
     assert not any("drifts" in f.text for f in analysis.findings)
     for e in of(analysis, "alpha_0", "angle-at-rest"):
         assert not any("drift" in line.name for line in e.budget)

@@ -67,3 +67,14 @@ def test_a_motion_stays_below_the_lines_before_and_after_a_gap():
     assert highest(t, y, 1.0, 5)[5] == np.inf
     assert highest(t, y, 1.0, 6)[5] == -np.inf
     assert reached(t, y, highest(t, y, 1.0, 0), 5.0, 1.0) == pytest.approx((4.0, 7.0, 10.0))
+
+
+@pytest.mark.parametrize("left", [1, 2, 3])
+def test_a_gap_just_before_the_end_may_hide_a_peak(left):
+    """The slope after it is unknown, and the motion stays below the line before: it was taken for no gap."""
+    t = np.concatenate([np.arange(1, 60) * 0.01, 0.81 + 0.01 * np.arange(1, left + 1)])
+    y = 1.2 * np.sin(2 * t)  # 1.2 at 0.785 s
+    assert 1.2 <= highest(t, y, 0.01, 10)[59] < 1.35
+    assert highest(t, y, 0.01, 59)[59] == np.inf
+    assert np.all(highest(t[:59], y[:59], 0.01, 10) == -np.inf)
+    assert highest(t, 0 * y, 0.01, 10)[59] == 0.0, "at rest nothing is hidden"

@@ -71,10 +71,22 @@ def test_a_gauge_that_follows_adds_nothing():
         assert not behind(e)
 
 
-@pytest.mark.parametrize("gauge", [{"filtered": 0.02}, {"filtered": 0.05}, {"late": 4}, {"late": 8}])
-def test_a_gauge_that_is_behind_is_held_or_withholds(gauge):
+@pytest.mark.parametrize("gauge", [{"filtered": 0.02}, {"filtered": 0.05}, {"late": 8}])
+def test_a_gauge_that_is_behind_is_in_the_interval(gauge):
     """With a filter of 50 ms K_u was 2.3 half widths off, with a delay of 30 ms 1.9."""
     values = found(**gauge)
     for symbol, value in truth().items():
         e = values[symbol]
-        assert e.value is None or (abs(e.value - value) < e.parts.combined and behind(e))
+        assert abs(e.value - value) < e.parts.combined < 0.15 * value
+        assert behind(e)
+
+
+def test_a_gauge_that_is_late_by_few_samples_is_held_or_withholds():
+    """Its limit cycle looks like one with stiction; the value may be withheld for that, and is never wrong."""
+    values = found(late=4)
+    for symbol, value in truth().items():
+        e = values[symbol]
+        if e.value is None:
+            assert "limit cycle with stiction" in e.note
+        else:
+            assert abs(e.value - value) < e.parts.combined

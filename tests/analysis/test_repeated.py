@@ -9,13 +9,13 @@ from pmabench.store.records import ChannelInfo, Flag, RunData, TrialData
 T = np.arange(0.0, 6.0, 0.01)
 
 
-def run(*trials, flags=0, manifest=None, t=T):
-    """A run of one load cell; `trials` are its readings [N]."""
+def run(*trials, flags=0, manifest=None, t=T, rate=0.0):
+    """A run of one load cell; `trials` are its readings [N], `rate` is that of its stream [Hz], 0 if not regular."""
     made = tuple(
         TrialData("r", n, {}, 0, False, "finished", t, {"force": force}, np.full(len(t), flags, np.uint16), (), {})
         for n, force in enumerate(trials)
     )
-    info = ChannelInfo("force", "force", "N", 1.0, 0.0, -50.0, 1950.0)
+    info = ChannelInfo("force", "force", "N", 1.0, 0.0, -50.0, 1950.0, rate=rate)
     return RunData("r", "", "x", "finished", False, manifest or {}, {}, (), {"force": info}, 100.0, made)
 
 
@@ -43,7 +43,7 @@ def test_a_slower_stream_on_the_times_of_a_faster_one_is_named_too():
     fast = np.arange(0.0, 6.0, 0.002)
     slow = np.arange(0.0, 6.0, 0.02)
     readings = [np.interp(fast, slow, force) for force in (noise(1, t=slow), stopped(2, 3.0, t=slow))]
-    assert "for up to 3 s (trial 2)" in repeated([run(*readings, t=fast)])[0].text
+    assert "for up to 3 s (trial 2)" in repeated([run(*readings, t=fast, rate=50.0)])[0].text
 
 
 def gauge(t):
@@ -62,6 +62,18 @@ SOUND = {
     "nothing measured": [np.full(len(T), np.nan)] * 2,
     "no samples": [],
 }  # fmt: skip
+
+
+@pytest.mark.parametrize("rate", [100.0, 200.0, 1000.0])
+@pytest.mark.parametrize("f", [4.5, 5.0, 5.7, 6.3, 7.3, 7.7, 9.0])
+def test_a_motion_that_reverses_often_is_no_noise(f, rate):
+    """10 um counts at rest for 4 s, then a sine of 0.8 mm; 0.1 N counts under a weight, and a vibration of 0.4 N."""
+    t = np.arange(0.0, 12.0, 1 / rate)
+    for rest, swing, count in ((12.34, 0.8, 0.01), (20.03, 0.4, 0.1)):
+        y = np.where(t < 4.0, rest, rest + 3 + swing * np.sin(2 * np.pi * f * (t - 4.0)))
+        y = y + (count > 0.05) * np.random.default_rng(2).normal(0.0, 0.01, len(t))
+        y[0] = 0.0
+        assert repeated([run(np.round(y / count) * count, t=t)]) == ()
 
 
 @pytest.mark.parametrize("name", SOUND)

@@ -163,6 +163,50 @@ def free(P, x):
     return run_of("free-contraction", [({}, t, {"pressure": P, "displacement": x}, (), {})] * 3)
 
 
+def on_top(kind, lag, sent, cut=None, ramp=2.0):
+    """A ramp to the highest pressure, or a stage to its full length, recorded to the rest there; the gauge has a lag."""
+    t = np.arange(0, 1 + ramp + 5, 1 / RATE)
+    part = np.interp(t, [1, 1 + ramp], [0.0, 1.0])
+    read = lagged(part, lag) if lag else part
+    trials = []
+    for x in (0.0, 0.005, 0.01):
+        if kind == "isometric-pressurisation":
+            F, cause, size, rest = 500 * (1 - x / 0.06) * part, "pressure", 500e3, {"displacement": np.full(len(t), x)}
+        else:
+            size, cause, rest = 0.02, "displacement", {"pressure": np.full(len(t), 200e3 + 1e7 * x)}
+            F = -(200 + 1e4 * x) * (1 - part) * (1 - part / 3)
+        commands = {f"{cause}_command": size * part} if sent else {}
+        trials.append(({"contraction": x}, t, {cause: size * read, **commands, "force": F, **rest}, (), {}))
+    return run_of(kind, trials, cut)
+
+
+@pytest.mark.parametrize("sent", [True, False])
+@pytest.mark.parametrize("ramp", [1.0, 2.0, 4.0])
+@pytest.mark.parametrize("lag", [0.05, 0.1, 0.2, 0.3])
+@pytest.mark.parametrize("kind", ["isometric-pressurisation", "isobaric-ramp"])
+def test_a_gauge_with_a_filter_is_no_ceiling_of_the_force(kind, lag, ramp, sent):
+    """The gauge goes on after the end of the ramp, at which the force comes to rest."""
+    assert not ceilings(on_top(kind, lag, sent, ramp=ramp))
+
+
+def test_a_declared_filter_counts_where_it_looks_like_a_motion_that_goes_on():
+    """Readings 0.1 s late go on without slowing down."""
+    run = on_top("isometric-pressurisation", 0.0, False)
+    late = [
+        replace(one, channels={**one.channels, "pressure": np.interp(one.t - 0.1, one.t, one.channels["pressure"])})
+        for one in run.trials
+    ]
+    known = {**run.channels, "pressure": replace(run.channels["pressure"], sensor_lag=0.1)}
+    assert not ceilings(replace(run, trials=tuple(late), channels=known))
+
+
+@pytest.mark.parametrize("sent", [True, False])
+@pytest.mark.parametrize("lag", [0.0, 0.1])
+def test_a_ceiling_is_found_where_the_record_ends_on_top(lag, sent):
+    (found,) = ceilings(on_top("isometric-pressurisation", lag, sent, {"force": 300.0}))
+    assert (found.channel, found.level) == ("force", pytest.approx(300.0, rel=0.05))
+
+
 T = np.arange(3000) / RATE
 TRIANGLE = np.interp(T % 10, [0, 5, 10], [0.0, 500e3, 0.0])
 

@@ -25,25 +25,28 @@ def highest(t: Array, y: Array, period: float, since: int) -> Array:
     """Highest value that `y` may have had between each sample and the one before, shape (n,); -inf without a gap.
 
     From the sample `since` on a motion slows down, turns and comes back, so it stays below the lines with the slopes
-    before and after the gap. A gap across that sample hides all: inf, unless `y` still rises after it. `period`: usual
-    time between samples [s].
+    before and after the gap; only the one before where the record ends too soon for the other. A gap across that sample
+    hides all: inf, unless `y` still rises after it. `period`: usual time between samples [s].
     """
     found = np.full(len(t), -inf)
     for k in np.flatnonzero(np.diff(t) > GAP * period):
         size = max(SLOPE, round((t[k + 1] - t[k]) / (PART * period)))
         after = slice(k + 1, k + 2 + size)
-        if k + 1 < since or len(t[after]) <= SLOPE:
+        if k + 1 < since:
             continue
-        down = float(np.polyfit(t[after] - t[k], y[after], 1)[0])
+        ends = len(t[after]) <= SLOPE
+        down = -inf if ends else float(np.polyfit(t[after] - t[k], y[after], 1)[0])
         found[k + 1] = max(y[k], y[k + 1])
         if k < since:
             spread = float(np.sqrt(np.sum((t[after] - t[after].mean()) ** 2)))
-            found[k + 1] = found[k + 1] if down > RISES * noise_of(y) / spread else inf
+            found[k + 1] = found[k + 1] if down * spread > RISES * noise_of(y) else inf
             continue
         before = slice(max(0, k - size), k + 1)
         up = float(np.polyfit(t[before] - t[k], y[before], 1)[0]) if k else 0.0
         if up > 0 > down:
-            turned = (y[k + 1] - y[k] - down * (t[k + 1] - t[k])) / (up - down)
+            turned = t[k + 1] - t[k]
+            if not ends:
+                turned = (y[k + 1] - y[k] - down * turned) / (up - down)
             found[k + 1] = max(found[k + 1], y[k] + up * max(turned, 0.0))
     return found
 

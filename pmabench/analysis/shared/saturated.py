@@ -3,6 +3,8 @@
 At a saturation the readings scatter about one level, which they reach with undiminished speed, while the cause moves
 on. Motion that comes to rest by itself slows down before, where a ramp ends its cause ends too, and friction holds only
 after the cause has turned back. So a plateau of a step, a regulator that holds, and a stage that stops are no ceilings.
+A gauge behind a filter goes on after its cause has stopped: so the command must go on too or, where there is none, the
+motion must be no slowing one.
 
 What was beyond the ceiling is not known. So the reduction is repeated with these samples raised, and each value that
 changes by it is withheld.
@@ -18,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.shared.changes import Change
-from pmabench.analysis.shared.samples import noise_of
+from pmabench.analysis.shared.samples import LAG_KNOWN, lag_of, noise_of
 from pmabench.base.quantities import show
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -47,11 +49,17 @@ ONWARD, SLIGHTLY, FLAT = 0.04, 0.01, 4.0
 """Least expected motion beyond the ceiling, as a share of the channel's span, and least motion of its cause: the second
 one for the way up where the channel is this many times longer at its ceiling than at its lowest.
 """
+HALF, LAST = 0.4, 0.9
+"""Share of the motion beyond the ceiling whose time is compared with that of as much again, which a filter makes twice
+as long, and the end of that motion: noise counts least before.
+"""
 KINK = 2.0
 """Least change of speed within two samples at the begin of a ceiling, over the largest one elsewhere."""
 SHOWN = 0.2
 """Least share of the trials that show the ceiling; fewer may contradict it."""
-MOVED, IDLE, SLOWED = "moved", "idle", "slowed"
+RAMP = 16
+"""Fewest changes of a command that is no staircase: a step has ended when its pressure moves."""
+MOVED, LAGS, IDLE, SLOWED = "moved", "lags", "idle", "slowed"
 LIFTED = 0.2
 """What samples at the ceiling are raised by, as a share of the channel's span."""
 KEPT = 1e-4
@@ -94,7 +102,7 @@ def saturated(run: RunData, loop: bool = False) -> Iterator[Ceiling]:
         trials = [trial for trial in run.trials if name in trial.channels and trial.status == "finished"]
         if name == "force":  # a weight is the most that a muscle pulls which lifts it
             trials = [trial for trial in trials if not HUNG & trial.point.keys()]
-        every = (_course(trial, name, sign, loop) for trial in trials)
+        every = (_course(run, trial, name, sign, loop) for trial in trials)
         courses = [course for course in every if len(course.y) >= ENOUGH]
         if courses and (found := _ceiling(run, name, sign, courses)):
             yield found
@@ -102,10 +110,15 @@ def saturated(run: RunData, loop: bool = False) -> Iterator[Ceiling]:
 
 @dataclass(frozen=True, eq=False)
 class _Cause:
-    """Samples `z` of a channel that moves another one, `y`, both shape (n,)."""
+    """Samples `z` of a channel that moves another one, `y`, and those of its command, `sent`, all of shape (n,).
+
+    `sent` is None if it is not recorded or a staircase. `lag`: declared time constant of the sensor [s].
+    """
 
     z: Array
     y: Array
+    sent: Array | None = None
+    lag: float = 0.0
 
     @cached_property
     def noise(self) -> float:
@@ -121,15 +134,30 @@ class _Cause:
         """Span of the cause, or its largest value if that is more: a regulated one hardly moves."""
         return float(max(np.ptp(self.z), np.abs(self.z).max()))
 
-    def onward(self, t: Array, times: tuple[float, float], at: int, share: float) -> float:
+    def back(self) -> _Cause:
+        """The cause with time turned round: a sensor's lag makes its motion before an end no longer."""
+        return _Cause(self.z[::-1], self.y[::-1], None if self.sent is None else self.sent[::-1])
+
+    def onward(self, t: Array, times: tuple[float, float], at: int, share: float, steady: bool) -> float:
         """Motion of the cause from sample `at` on, over that in the time before from `times` on [1]; 0 where it stops.
 
-        Only motion in its usual way counts, and by `share` of its size at least.
+        Only motion in its usual way counts, and by `share` of its size at least. `steady`: only without slowing down,
+        which a filter does, unless the command shows that it goes on.
         """
         begin, end = (self.way * float(value) for value in np.interp(times, t, self.z))
-        moves, further = end - begin, float(np.max(self.way * self.z[at:])) - end
-        goes_on = moves > CLEAR * self.noise and further > max(BAND * self.noise, share * self.size)
-        return (further - BAND / 2 * self.noise) / moves if goes_on else 0.0
+        after = self.way * self.z[at:] - end
+        moves, whole = end - begin, float(np.max(after))
+        further = whole - (1 + LAG_KNOWN) * self.lag * moves / (times[1] - times[0])
+        if self.sent is not None:
+            sent = self.way * self.sent
+            further = min(further, float(np.max(sent[at:]) - np.interp(times[1], t, sent)))
+        if not (moves > CLEAR * self.noise and further > max(BAND * self.noise, share * self.size)):
+            return 0.0
+        if steady and self.sent is None:
+            parts = after[: int(np.argmax(after > LAST * whole))] / whole
+            if UNSLOWED * np.count_nonzero((parts > HALF) & (parts < 2 * HALF)) > np.count_nonzero(parts <= HALF):
+                return 0.0
+        return (further - BAND / 2 * self.noise) / moves
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,16 +168,15 @@ class _Course:
     y: Array
     causes: Sequence[Sequence[_Cause]]
     loop: bool
+    turned: bool = False
 
     def back(self) -> _Course:
         """The course with time turned round."""
-        y = self.y[::-1]
-        return replace(
-            self, t=-self.t[::-1], y=y, causes=[[_Cause(one.z[::-1], y) for one in alike] for alike in self.causes]
-        )
+        causes = [[one.back() for one in alike] for alike in self.causes]
+        return replace(self, t=-self.t[::-1], y=self.y[::-1], causes=causes, turned=True)
 
 
-def _course(trial: TrialData, name: str, sign: int, loop: bool) -> _Course:
+def _course(run: RunData, trial: TrialData, name: str, sign: int, loop: bool) -> _Course:
     """The samples of a channel in a trial, times `sign`, with those of its causes; in a loop time is the cause."""
     y = trial.channels[name]
     good = trial.usable & np.isfinite(y)
@@ -165,7 +192,13 @@ def _course(trial: TrialData, name: str, sign: int, loop: bool) -> _Course:
         causes = [(cause,) for cause in (*pressures, *(driven if name in ("force", "torque") else ()))]
     known = [alike for alike in causes if all(one in trial.channels for one in alike)]
     y = sign * y[good]
-    return _Course(trial.t[good], y, [[_Cause(trial.channels[one][good], y) for one in alike] for alike in known], loop)
+
+    def cause(one: str) -> _Cause:
+        z, sent = trial.channels[one][good], trial.channels.get(f"{one}_command")
+        ramps = sent is not None and np.count_nonzero(np.diff(sent[good])) >= RAMP
+        return _Cause(z, y, sent[good] if sent is not None and ramps else None, lag_of(run, one))
+
+    return _Course(trial.t[good], y, [[cause(one) for one in alike] for alike in known], loop)
 
 
 def _ceiling(run: RunData, name: str, sign: int, courses: Sequence[_Course]) -> Ceiling | None:
@@ -211,7 +244,8 @@ class _Level:
             begin = self._end(course, first, heights, ONWARD if flat else SLIGHTLY)
             end = self._end(back, last_row - last, heights, ONWARD)
             known = [one for one in (begin, end) if one]
-            judged.append(None if IDLE in known or not known else SLOWED not in known)
+            unknown = IDLE in known or set(known) <= {LAGS}
+            judged.append(None if unknown else SLOWED not in known)
         counts = judged.count(True), judged.count(False)
         return counts[0] > counts[1] if any(counts) else None
 
@@ -237,13 +271,13 @@ class _Level:
         return bool(sharp > KINK * usual and np.any(y[last:] < self.level - self.width))
 
     def _end(self, course: _Course, at: int, heights: Sequence[float], share: float) -> str:
-        """How a motion comes to the ceiling at sample `at`: `SLOWED`, unslowed with a cause that stops too (`IDLE`)
-        or goes on (`MOVED`); empty where that is unknown.
+        """How a motion comes to the ceiling at sample `at`: `SLOWED`, unslowed with a cause that stops too (`IDLE`),
+        goes on (`MOVED`) or goes on as behind a filter (`LAGS`); empty where that is unknown.
 
         `share` of the motion of the cause is the least by which that goes on.
         """
         found = {self._from(course, at, below, share) for below in heights}
-        return next((one for one in (MOVED, IDLE, SLOWED) if one in found), "")
+        return next((one for one in (MOVED, LAGS, IDLE, SLOWED) if one in found), "")
 
     def _from(self, course: _Course, at: int, below: float, share: float) -> str:
         t, y, times = course.t, course.y, []
@@ -258,6 +292,9 @@ class _Level:
             return ""
         if UNSLOWED * (end - middle) > middle - begin:
             return SLOWED
-        causes = [[one.onward(t, (begin, end), at, share) for one in alike] for alike in course.causes]
-        further = max((min(alike) for alike in causes), default=0.0)
-        return MOVED if 2 * below * further > ONWARD * self.span + self.width else IDLE
+        for found, steady in ((MOVED, not course.turned), (LAGS, False)):
+            causes = [[one.onward(t, (begin, end), at, share, steady) for one in alike] for alike in course.causes]
+            further = max((min(alike) for alike in causes), default=0.0)
+            if 2 * below * further > ONWARD * self.span + self.width:
+                return found
+        return IDLE

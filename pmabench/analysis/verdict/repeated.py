@@ -7,9 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from math import ceil
 
 import numpy as np
 
+from pmabench.analysis.shared.samples import noise_of
 from pmabench.base.quantities import show
 from pmabench.store.analyses.results import Finding
 from pmabench.store.records import Array, ChannelInfo, RunData, TrialData
@@ -17,7 +19,9 @@ from pmabench.store.records import Array, ChannelInfo, RunData, TrialData
 LASTS, SAMPLES = 1.0, 25
 """Least time [s] and number of samples with one reading: two in a row are usual, so many are not."""
 RATE, WINDOW = 20.0, 20
-"""Samples a second in which noise is looked for, and their number: they must reverse often, which a motion does not."""
+"""Samples a second in which noise is looked for, and their number: they must reverse often, and all readings in their
+time as well, which a motion does not.
+"""
 REVERSES = 0.4
 """Share of reversals from which on a window shows noise [1]; white noise has 2/3."""
 VALUES, SMALL = 5, 0.05
@@ -49,7 +53,7 @@ def _of_run(run: RunData) -> Iterator[str]:
     for name, info in run.channels.items():
         if name.endswith("_command"):
             continue
-        measured = [_Measured(trial, trial.channels[name]) for trial in run.trials if name in trial.channels]
+        measured = [_Measured(trial, trial.channels[name], info.rate) for trial in run.trials if name in trial.channels]
         if still := [stretch for one in measured for stretch in one.stretches()]:
             values = np.concatenate([one.some for one in measured])
             still = [stretch for stretch in still if stretch.value not in (0.0, np.nanmin(values), np.nanmax(values))]
@@ -71,12 +75,14 @@ def _sentence(run: RunData, info: ChannelInfo, still: Sequence[_Still], noise: f
 
 
 class _Measured:
-    """A channel in one trial [SI]."""
+    """A channel in one trial [SI]; `rate` of its own stream [Hz], 0 if that is unknown."""
 
-    def __init__(self, trial: TrialData, values: Array) -> None:
+    def __init__(self, trial: TrialData, values: Array, rate: float) -> None:
         self._trial, self._values = trial, values
         span = float(trial.t[-1] - trial.t[0]) if len(trial.t) else 0.0
-        every = max(1, round(len(values) / (RATE * span))) if span > 0 else 1
+        every = self._every = max(1, round(len(values) / (RATE * span))) if span > 0 else 1
+        self._own = min(every, ceil(len(values) / span / rate - 0.1)) or 1 if span * rate > 0 else 1
+        """Samples from one reading of its own stream to the next; those between are interpolated."""
         self.some = values[::every][trial.usable[::every]]
         """`RATE` usable samples a second."""
 
@@ -92,13 +98,20 @@ class _Measured:
             yield _Still(trial, float(seconds[place]), float(values[begins[place]]))
 
     def noise(self, small: float) -> list[float]:
-        """Standard deviation in each window that shows noise at rest and spans at most `small` [SI]."""
-        windows = self.some[: len(self.some) // WINDOW * WINDOW].reshape(-1, WINDOW)
-        steps = np.sign(np.diff(windows))
-        reverses = np.mean(steps[:, 1:] * steps[:, :-1] < 0, axis=1)
-        readings = 1 + np.count_nonzero(np.diff(np.sort(windows)), axis=1)
-        noisy = (reverses >= REVERSES) & (np.ptp(windows, axis=1) <= small) & (readings >= VALUES)
-        return [float(scatter) for scatter in np.std(windows[noisy], axis=1)]
+        """Standard deviation of the noise in each window that shows it at rest and spans at most `small` [SI]."""
+        kept, size = self._values[self._trial.usable], self._every * WINDOW
+        blocks = kept[: len(kept) // size * size].reshape(-1, size)
+        windows = blocks[:, :: self._every]
+        different = 1 + np.count_nonzero(np.diff(np.sort(windows)), axis=1)
+        noisy = (_reversing(windows) >= REVERSES) & (np.ptp(windows, axis=1) <= small) & (different >= VALUES)
+        readings = blocks[noisy, :: self._own]
+        return [noise_of(one) for one in readings[_reversing(readings) >= REVERSES]]
+
+
+def _reversing(samples: Array) -> Array:
+    """Share of reversals along the last axis [1]."""
+    steps = np.sign(np.diff(samples))
+    return np.asarray(np.mean(steps[..., 1:] * steps[..., :-1] < 0, axis=-1))
 
 
 def _longest(values: Array) -> int:

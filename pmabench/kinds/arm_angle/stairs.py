@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -257,16 +258,19 @@ def loads_of(runs: Sequence[RunData], settings: Mapping[str, Any]) -> tuple[list
 
 
 def from_trial_to_trial(loads: Sequence[Sequence[Stair]]) -> float:
-    """Change of the angle before the trials by a line in time, from the first trial to the last [rad]; 0 where it is
-    not significant.
+    """Change of the angle before the trials by a line in time, from the first trial of a run to its last [rad]; 0 where
+    it is not significant.
 
-    Trials are compared with those of the same load. The first of all is left out: the muscle was at rest before.
+    Trials are compared with those of the same load and run, whose sensor has one zero. The first of each run is left
+    out: the muscle was at rest before.
     """
-    first = min((stair.trial.t[0] for stairs in loads for stair in stairs), default=0.0)
+    begins: dict[str, list[float]] = {}
+    for stair in (stair for stairs in loads for stair in stairs):
+        begins.setdefault(stair.trial.run, []).append(float(stair.trial.t[0]))
     t, y, cells = list[float](), list[float](), 0
-    for stairs in loads:
-        known = [(stair.trial.t[0], stair.start) for stair in stairs if stair.trial.t[0] > first]
-        known = [one for one in known if np.isfinite(one[1])]
+    for stairs, (run, times) in product(loads, begins.items()):
+        one_run = [stair for stair in stairs if stair.trial.run == run and stair.trial.t[0] > min(times)]
+        known = [(stair.trial.t[0], stair.start) for stair in one_run if np.isfinite(stair.start)]
         if known:
             cells += 1
             mean_t, mean_y = np.mean(known, axis=0).tolist()
@@ -277,7 +281,7 @@ def from_trial_to_trial(loads: Sequence[Sequence[Stair]]) -> float:
         return 0.0
     slope = float(off @ value / (off @ off))
     error = float(np.sqrt(np.sum((value - slope * off) ** 2) / free / (off @ off)))
-    whole = max(float(stair.trial.t[0]) for stairs in loads for stair in stairs) - first
+    whole = max(max(times) - min(times) for times in begins.values())
     return slope * whole if abs(slope) > float(ppf(SIGNIFICANT, free)) * error else 0.0
 
 
