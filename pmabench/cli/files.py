@@ -96,7 +96,9 @@ def schema_text(kind: str) -> str:
 
 def _schema(kind: str) -> dict[str, Any]:
     """The model's schema, with `include` allowed, whose files need not hold every key themselves."""
-    schema = _of_driver("modbus") if kind == "registers" else _of_models(kind)
+    from pmabench.bench.driver_options import driver_class
+
+    schema = load(driver_class("modbus")).map_schema() if kind == "registers" else _of_models(kind)
     if kind == "map":
         from pmabench.kinds.registry import importable
 
@@ -108,14 +110,6 @@ def _schema(kind: str) -> dict[str, Any]:
             part["then"] = {"required": part.pop("required", [])}
             if "anyOf" in part:
                 part["then"]["anyOf"] = part.pop("anyOf")
-    return schema
-
-
-def _of_driver(name: str) -> dict[str, Any]:
-    """The schema of the map files of a driver, which its `map_schema` gives."""
-    from pmabench.bench.driver_options import driver_class
-
-    schema: dict[str, Any] = load(driver_class(name)).map_schema()
     return schema
 
 

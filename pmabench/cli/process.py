@@ -6,8 +6,8 @@ Of a folder of runs each on its own, by several processes, with progress and one
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager, closing, nullcontext
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -267,7 +267,7 @@ def process_folders(
     from pmabench.report.many import process_many, write_table
 
     tasks = tasks_below(given)
-    with _pool(ui, jobs, cluster) as pool, bar_line(ui, "runs") as show:
+    with _pool(jobs, cluster) as pool, bar_line(ui, "runs") as show:
 
         def progress(done: int, total: int, unchanged: int) -> None:
             show((done - unchanged) / max(total - unchanged, 1), f"{done:,} of {total:,}")
@@ -278,21 +278,13 @@ def process_folders(
     return many.exit_code or None
 
 
-@contextmanager
-def _pool(ui: Ui, jobs: int, cluster: str | None) -> Iterator[Pool | None]:
+def _pool(jobs: int, cluster: str | None) -> AbstractContextManager[Pool | None]:
     """Who does the work; None is this process."""
     from pmabench.analysis.many import Cluster, Processes
 
-    pool: Pool | None = None
     if cluster is not None:
-        pool = Cluster(cluster)
-    elif jobs > 1:
-        pool = Processes(jobs)
-    try:
-        yield pool
-    finally:
-        if pool is not None:
-            pool.close()
+        return closing(Cluster(cluster))
+    return closing(Processes(jobs)) if jobs > 1 else nullcontext()
 
 
 def _data(many: Many, paths: Sequence[Path]) -> dict[str, Any]:

@@ -27,7 +27,7 @@ from pmabench.base.errors import PmaError, UsageError, did_you_mean
 from pmabench.base.kind import Kind, load
 from pmabench.base.quantities import in_words, show
 from pmabench.cli.common import Ui, common, no_overwriting, read_quantity
-from pmabench.cli.names import FILE, RunFolder
+from pmabench.cli.names import FILE, WIDTH, RunFolder
 from pmabench.engine.resume import CHANGED, Chosen, NoMore
 from pmabench.files.quantity import parse_quantity
 from pmabench.protocol.plan import TrialRecord
@@ -206,7 +206,6 @@ def goals_of(text: str, kind: Kind) -> tuple[Goal, ...]:
 
 MOST = 10
 """Trials that are proposed at once: after these more is known."""
-WIDTH = 80
 
 
 @click.command(name="next")

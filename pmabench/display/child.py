@@ -205,12 +205,12 @@ class Display:
         self._asked = None
         return True
 
-    def close(self, end: Mapping[str, Any] | None = None, within: float = 3.0) -> None:
+    def close(self, within: float = 3.0) -> None:
         """End the display and restore the terminal; after `within` [s] by force. May be called again."""
         process, link = self._process, self._link
         if process is None or link is None:
             return
-        link.send({"end": dict(end or {})})
+        link.send({"end": {}})
         for force in (None, process.terminate, process.kill):
             if force is not None:
                 force()

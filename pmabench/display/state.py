@@ -21,7 +21,7 @@ from pmabench.display.follow import Block, Follower, Kept, StreamTail
 from pmabench.display.verdicts import TrialLine, Verdicts, read_expected
 from pmabench.display.wording import event_text
 from pmabench.protocol.plan import STEPS, Ask, Record, Step, WaitUntil
-from pmabench.store.records import Array, Event, Flag, Flags, RunData, cut_trials
+from pmabench.store.records import Array, Event, Flag, Flags, RunData, cut_trials, is_number
 
 CURVES = 30.0
 """Shortest time range of the curves [s] ..."""
@@ -397,7 +397,7 @@ def _list(value: Any) -> list[dict[str, Any]]:
 
 
 def _number(value: Any, otherwise: float | None = None) -> float | None:
-    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else otherwise
+    return float(value) if is_number(value) else otherwise
 
 
 class Progress:

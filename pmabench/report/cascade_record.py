@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from pmabench.base.errors import invalid
 from pmabench.model.cascade import Course
 from pmabench.report.writing import write_file
-from pmabench.store.json_files import read_model
+from pmabench.store.json_files import read_json
 
 SCHEMA: Literal["pmabench.cascade-result/1"] = "pmabench.cascade-result/1"
 MOST_BYTES = 400_000_000
@@ -110,7 +110,12 @@ def read_result(path: Path) -> Result:
     """Read a result from its JSON file or its folder. Raises InvalidFile."""
     file = path / "cascade.json" if path.is_dir() else path
     missing = "there is no result here; pmabench model cascade simulate FILE --out FOLDER writes one"
-    found = read_model(Result, file, SCHEMA, "result of a cascade", MOST_BYTES, missing)
+    try:
+        found = Result.model_validate(read_json(file, SCHEMA, "result of a cascade", MOST_BYTES, missing))
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        where = ".".join(str(part) for part in first["loc"])
+        raise invalid(file, f"is a damaged result of a cascade, at {where or 'its end'}: {first['msg']}") from error
     lengths = {len(getattr(found, name)) for name in TOTALS}
     lengths |= {len(getattr(link, name)) for link in found.muscles for name in EACH}
     rising = len(found.time) >= 2 and bool((np.diff(found.time) > 0).all())

@@ -474,15 +474,13 @@ def surface_picture(
     names = " and ".join(f"{declared(analyses)[symbol].title} {symbol}" for symbol in order)
     title = f"{names[:1].upper()}{names[1:]} over contraction, at each pressure"
     size = width, HIGHER - less - _second_line(title)
-    charts = tuple(_surface_chart(mine, over, across, size, simulated=simulated) for mine in drawn)
+    charts = tuple(_surface_chart(mine, over, across, size) for mine in drawn)
     caption = "Dots: values of the fit, half way between both directions; bars: 95 % intervals."
     table = table_of([e for mine in drawn for e in mine], over)
     return of_charts([charts], title, caption, table, simulated=simulated)
 
 
-def _surface_chart(
-    known: Sequence[Estimate], over: str, across: str, size: tuple[float, float], *, simulated: bool
-) -> Chart:
+def _surface_chart(known: Sequence[Estimate], over: str, across: str, size: tuple[float, float]) -> Chart:
     unit, at_unit = shown(known[0].quantity, known[0].unit), point_shown(over)[1]
     places = sorted({e.at[over] for e in known})
     series = []

@@ -18,7 +18,7 @@ from pmabench.plotting.wording import Frame, clean, number, point_shown, rounded
 from pmabench.report.document.provenance import get
 from pmabench.report.figures import OVER_PRESSURE
 from pmabench.store.analyses.results import PUBLISHED, Analysis, Estimate, PublishedPoints, Trace
-from pmabench.store.records import Array, RunData
+from pmabench.store.records import Array, RunData, is_number
 
 HEADS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     ("pressure", "pressure", ("pressure", "P", "p")),
@@ -67,7 +67,7 @@ class Comparison:
 def length_of(runs: Sequence[RunData]) -> float | None:
     """The one nominal length of all specimens [m]; None where runs have several or none."""
     lengths = {get(run.manifest, "specimen", "nominal_length") for run in runs}
-    known = {float(value) for value in lengths if isinstance(value, int | float) and not isinstance(value, bool)}
+    known = {float(value) for value in lengths if is_number(value)}
     return known.pop() if len(known) == 1 else None
 
 

@@ -33,21 +33,17 @@ class Task:
     """All its run folders in order of time; `path` is the last."""
 
 
-def runs_below(folder: Path) -> list[Path]:
-    """Every run folder below `folder`, sorted by path; the folder itself if it is a run.
-
-    A folder with the name of a run counts as one even without a manifest, so that opening it reports the damage. Links,
-    hidden folders and the inside of runs are not searched. Raises InvalidFile for a folder that cannot be read.
-    """
-    return sorted(_found(folder))
-
-
 def holds_runs(folder: Path) -> bool:
     """Whether `folder` is not a run itself and there are runs below it."""
     return folder.is_dir() and next(_found(folder), folder) != folder
 
 
 def _found(folder: Path) -> Iterator[Path]:
+    """Every run folder below `folder`; the folder itself if it is a run.
+
+    A folder with the name of a run counts as one even without a manifest, so that opening it reports the damage. Links,
+    hidden folders and the inside of runs are not searched. Raises InvalidFile for a folder that cannot be read.
+    """
     waiting = [folder]
     while waiting:
         place = waiting.pop()
@@ -73,7 +69,7 @@ def tasks_below(given: Sequence[Path]) -> list[Task]:
     """
     places: dict[Path, str] = {}
     for folder in given:
-        for run in (folder.is_dir() and runs_below(folder)) or [folder]:
+        for run in (folder.is_dir() and sorted(_found(folder))) or [folder]:
             places.setdefault(run, run.relative_to(folder).as_posix() if run != folder else folder.resolve().name)
     chains = {run: chain_of(run) for run in places}
     continued = {before.resolve() for chain in chains.values() for before in chain[:-1]}

@@ -1,19 +1,15 @@
-"""Reads JSON files that are not trusted: limited size and depth, known schema, checked by a model."""
+"""Reads JSON files that are not trusted: limited size and depth, known schema."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any
 
 from pmabench.base.errors import invalid, reading
 
-if TYPE_CHECKING:
-    from pydantic import BaseModel
-
 DEEPEST = 20
 """Largest nesting of objects and lists, since readers use recursion."""
-Model = TypeVar("Model", bound="BaseModel")
 
 
 def read_json(path: Path, schema: str, what: str, most: int, missing: str = "there is no such file") -> dict[str, Any]:
@@ -40,21 +36,6 @@ def read_json(path: Path, schema: str, what: str, most: int, missing: str = "the
     if not _shallow(data, DEEPEST):
         raise invalid(path, f"is damaged: it has more than {DEEPEST} levels")
     return dict(data)
-
-
-def read_model(
-    model: type[Model], path: Path, schema: str, what: str, most: int, missing: str = "there is no such file"
-) -> Model:
-    """Read a file as `read_json` does, and check it by a model; raises InvalidFile with the first fault."""
-    from pydantic import ValidationError
-
-    data = read_json(path, schema, what, most, missing)
-    try:
-        return model.model_validate(data)
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        where = ".".join(str(part) for part in first["loc"])
-        raise invalid(path, f"is a damaged {what}, at {where or 'its end'}: {first['msg']}") from error
 
 
 def _no_constant(name: str) -> float:

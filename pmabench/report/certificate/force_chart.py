@@ -18,8 +18,9 @@ import numpy as np
 from pmabench.plotting.chart import BLUE, BROWN, FAINT, PAGE, QUIET, Array, Chart, Series, small_multiples
 from pmabench.plotting.pictures import Picture, column, has, head, label, of_charts, of_traces, spread, unit_of
 from pmabench.plotting.wording import Frame, half_width, rounded
-from pmabench.report.document.tables import is_number, mappings
+from pmabench.report.document.tables import mappings
 from pmabench.store.analyses.results import Analysis, Trace
+from pmabench.store.records import is_number
 
 FIGURE = "characteristic"
 """Kind of the trace of forces at set pressures and contractions."""

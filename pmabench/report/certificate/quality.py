@@ -35,11 +35,11 @@ from pmabench.plotting.wording import (
     symbol_text,
 )
 from pmabench.report.document.provenance import get, span
-from pmabench.report.document.tables import is_number, mappings
+from pmabench.report.document.tables import mappings
 from pmabench.report.foremost import costliest, left_out, widest_half
 from pmabench.report.words import reverses
 from pmabench.store.analyses.results import Analysis, Curve, Estimate
-from pmabench.store.records import RunData
+from pmabench.store.records import RunData, is_number
 
 LINES = 4
 LONGEST = 230

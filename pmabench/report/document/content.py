@@ -172,9 +172,9 @@ def content_of(
     )
 
 
-def write_page(content: Content, path: Path, *, long: bool = False) -> Path:
+def write_page(content: Content, path: Path) -> Path:
     """Write a report's content as a page; raises RecordError where it cannot be written."""
-    return write_file(path, page_of(content, long=long), "the report")
+    return write_file(path, page_of(content), "the report")
 
 
 def page_of(content: Content, *, long: bool = False) -> str:

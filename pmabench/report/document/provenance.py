@@ -15,7 +15,7 @@ from typing import Any
 from pmabench.plotting.wording import POINTS, Frame, clean, in_order, number, point_shown, shown
 from pmabench.report.words import kind_title
 from pmabench.store.folder import is_regular, sha256_of
-from pmabench.store.records import RunData
+from pmabench.store.records import RunData, is_number
 
 LISTED = 8
 """Values of a swept coordinate that are listed; of more, the ends and the count are."""
@@ -70,7 +70,7 @@ def _specimen(specimen: Mapping[str, Any]) -> str:
     lines = []
     for key, quantity in SPECIMEN.items():
         value, unit = specimen.get(key), shown(quantity)
-        if isinstance(value, int | float) and not isinstance(value, bool):
+        if is_number(value):
             lines.append(f"{key.replace('_', ' ')} {number(value / unit.scale)} {unit.unit}")
     length = get(specimen, "mounted", "length")
     if isinstance(length, int | float):
@@ -138,8 +138,7 @@ def protocol_table(runs: Sequence[RunData], names: Mapping[str, str]) -> Frame:
 
 
 def _duration(value: Any) -> str:
-    known = isinstance(value, int | float) and not isinstance(value, bool)
-    return "" if not known else f"{value / 60:.0f} min" if value >= 120 else f"{value:.0f} s"
+    return "" if not is_number(value) else f"{value / 60:.0f} min" if value >= 120 else f"{value:.0f} s"
 
 
 def _points(run: RunData) -> str:

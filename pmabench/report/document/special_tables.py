@@ -21,9 +21,10 @@ from pmabench.plotting.wording import (
     symbol_text,
 )
 from pmabench.report.document.provenance import get
-from pmabench.report.document.tables import Table, half_of, is_number, least, mappings, numbers_of
+from pmabench.report.document.tables import Table, half_of, least, mappings, numbers_of
 from pmabench.report.words import kind_title
 from pmabench.store.analyses.results import Analysis, Estimate
+from pmabench.store.records import is_number
 
 NAMED_ALONE = 0.01
 """Sources with a smaller share of the variance are given as one sum."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import radians
-from typing import Any, TypeGuard
+from typing import Any
 
 from pmabench.base.kind import Result
 from pmabench.base.quantities import QUANTITIES
@@ -35,6 +35,7 @@ from pmabench.plotting.wording import (
 )
 from pmabench.report.words import declared, kind_title
 from pmabench.store.analyses.results import AGREEMENT, Analysis, Estimate
+from pmabench.store.records import is_number
 
 LONGEST_JOINT = 60
 COEFFICIENTS = {"F_ce", "K", "B_c", "B_r", "B"}
@@ -379,11 +380,6 @@ _MARGINS = (
 def mappings(value: Any) -> list[Mapping[str, Any]]:
     """The mappings in a list; facts may hold anything."""
     return [item for item in value if isinstance(item, Mapping)] if isinstance(value, list | tuple) else []
-
-
-def is_number(value: Any) -> TypeGuard[float]:
-    """Whether it is a number and no truth value."""
-    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def half_of(value: float, ends: Any) -> float | None:

@@ -211,8 +211,7 @@ def _results_latex(results: Results, out: Path) -> list[Path]:
         found = [tables.Table("Coefficients over pressure", tables.coefficient_table([analysis]))]
         for n, table in enumerate([*found, *tables.other_tables(analysis)], 1):
             if len(table.frame):
-                texts = ("method", "symbol", "quantity", "unit")
-                parts.append(latex_table(table.frame, f"{title}: {table.caption}", f"tab:{name}-{n}", texts=texts))
+                parts.append(latex_table(table.frame, f"{title}: {table.caption}", f"tab:{name}-{n}"))
     return [write_file(out, "\n".join(parts), "the export")]
 
 
@@ -326,45 +325,47 @@ _WIDE = ((".,:;il'| []()·", 0.56), ("±×−mw%", 1.67), ("0123456789", 1.0), (
 """Signs with their width in digits."""
 WRAPPED = 58.0
 """Width of a column of words that is broken into lines [pt]."""
+TEXTS = ("method", "symbol", "quantity", "unit")
+"""Columns of words; the others hold numbers."""
 
 
-def latex_table(frame: Frame, caption: str, label: str, *, texts: Sequence[str] = ()) -> str:
+def latex_table(frame: Frame, caption: str, label: str) -> str:
     """A frame of text cells as `table`s with `tabular`, none wider than a column of a page.
 
-    Columns in `texts` are set left, the others right. What is too wide becomes several tables: one for each method,
+    Columns in `TEXTS` are set left, the others right. What is too wide becomes several tables: one for each method,
     then some of the columns each, the first repeated; long words are broken into lines.
     """
     whole = [(frame, caption)]
     methods = list(dict.fromkeys(frame["method"])) if "method" in frame.columns else []
-    if len(methods) > 1 and _width(frame, texts, 0) > COLUMN:
+    if len(methods) > 1 and _width(frame, 0) > COLUMN:
         rows = {method: frame.where(cell == method for cell in frame["method"]) for method in methods}
         whole = [(part.without("method").filled(), f"{caption}; {name}") for name, part in rows.items()]
     elif len(methods) == 1 and len(frame.columns) > 2:
         whole = [(frame.without("method"), f"{caption}; {methods[0]}")]
-    found = [part for one, words in whole for part in _narrow(one, words, texts)]
+    found = [part for one, words in whole for part in _narrow(one, words)]
     labels = [label if n == 0 else f"{label}-{n + 1}" for n in range(len(found))]
-    return "\n".join(_table(part, words, name, texts) for (part, words), name in zip(found, labels, strict=True))
+    return "\n".join(_table(part, words, name) for (part, words), name in zip(found, labels, strict=True))
 
 
-def _narrow(frame: Frame, caption: str, texts: Sequence[str]) -> list[tuple[Frame, str]]:
+def _narrow(frame: Frame, caption: str) -> list[tuple[Frame, str]]:
     """The frame, or parts of its columns that fit, each with the first column."""
-    if _width(frame, texts, len(SIZES) - 1) <= COLUMN or len(frame.columns) < 3:
+    if _width(frame, len(SIZES) - 1) <= COLUMN or len(frame.columns) < 3:
         return [(frame, caption)]
     first, *rest = frame.columns
     parts: list[list[str]] = [[]]
     for column in rest:
-        if parts[-1] and _width(frame.select([first, *parts[-1], column]), texts, 0) > COLUMN:
+        if parts[-1] and _width(frame.select([first, *parts[-1], column]), 0) > COLUMN:
             parts.append([])
         parts[-1].append(column)
     words = [caption, *[f"{caption} (continued)"] * (len(parts) - 1)]
     return [(frame.select([first, *part]), text) for part, text in zip(parts, words, strict=True)]
 
 
-def _width(frame: Frame, texts: Sequence[str], size: int) -> float:
+def _width(frame: Frame, size: int) -> float:
     """Width of the tabular [pt] in one of `SIZES`."""
     digit = SIZES[size][1]
     columns = [max(_letters(text) for text in (c, *frame[c])) * digit for c in frame.columns]
-    wide = [min(w, WRAPPED) if c in texts else w for c, w in zip(frame.columns, columns, strict=True)]
+    wide = [min(w, WRAPPED) if c in TEXTS else w for c, w in zip(frame.columns, columns, strict=True)]
     return sum(wide) + 2 * GAP * len(wide)
 
 
@@ -375,11 +376,11 @@ def _letters(text: object) -> float:
     return sum(known.get(sign, 1.5 if sign.isupper() else 1.06) for sign in words)
 
 
-def _table(frame: Frame, caption: str, label: str, texts: Sequence[str]) -> str:
+def _table(frame: Frame, caption: str, label: str) -> str:
     columns = frame.columns
-    size = next((n for n in range(len(SIZES)) if _width(frame, texts, n) <= COLUMN), len(SIZES) - 1)
+    size = next((n for n in range(len(SIZES)) if _width(frame, n) <= COLUMN), len(SIZES) - 1)
     wide = {c for c in columns if max(map(_letters, (c, *frame[c]))) * SIZES[size][1] > WRAPPED}
-    looks = ["r" if c not in texts else rf"p{{{WRAPPED:.0f}pt}}" if c in wide else "l" for c in columns]
+    looks = ["r" if c not in TEXTS else rf"p{{{WRAPPED:.0f}pt}}" if c in wide else "l" for c in columns]
     lines = [
         r"\begin{table}",
         rf"\caption{{{typeset(caption)}}}",

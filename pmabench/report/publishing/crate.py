@@ -17,7 +17,7 @@ from pmabench.report.document.provenance import benches, get, text_of
 from pmabench.report.publishing.about import LICENCES, About, Place
 from pmabench.report.words import kind_title
 from pmabench.store.analyses.results import POINT_QUANTITIES, Analysis, Estimate
-from pmabench.store.records import RunData
+from pmabench.store.records import RunData, is_number
 
 CRATE = "ro-crate-metadata.json"
 SOFTWARE, BENCH = "#pmabench", "#bench"
@@ -165,7 +165,7 @@ def _specimens(runs: Iterable[tuple[str, RunData]]) -> list[Node]:
         node["additionalProperty"] = [
             {"@type": "PropertyValue", "@id": f"{node['@id']}-{key}", "name": name, "value": value, "unitCode": unit}
             for name, key, unit in sizes
-            if isinstance(value := get(about, key), int | float) and not isinstance(value, bool)
+            if is_number(value := get(about, key))
         ]
         nodes.setdefault(node["@id"], node)
     return _flat(nodes.values())

@@ -117,7 +117,7 @@ def read_lvm(
     recorded = Recorded([], _started(first, file.keys), first.first, not file.ends)
     _drop_cut_row(file, segments[-1], recorded)
     tables = [_numbers(file, segment) for segment in segments]
-    xs = _abscissae(file, segments, tables, recorded)
+    xs = _abscissae(file, segments, tables)
     units = first.keys.get("Y_Unit_Label", [])
     recorded.columns += xs
     for index, name in enumerate(first.names):
@@ -224,7 +224,7 @@ def _number(text: str, comma: bool) -> float:
     return NO_NUMBER[text.lower()] if text.lower() in NO_NUMBER else float("?")
 
 
-def _abscissae(file: _File, segments: Sequence[_Segment], tables: Sequence[Array], recorded: Recorded) -> list[Column]:
+def _abscissae(file: _File, segments: Sequence[_Segment], tables: Sequence[Array]) -> list[Column]:
     """The column X_Value, from the file or from X0 and Delta_X, shifted by the start time of each segment."""
     times = [_started(segment, file.keys) for segment in segments]
     parts: list[Array] = []
