@@ -467,7 +467,3 @@ class PlatformSimulation(Sampled):
         rows = [self._at(t) for t in times.tolist()]
         self._plant.advance(until)
         return {name: np.array([row[name] for row in rows]) for name in rows[0]}
-
-    def attitude(self) -> tuple[float, float]:
-        """Phi and psi [rad], without any sensor."""
-        return self._plant.state[0], self._plant.state[1]

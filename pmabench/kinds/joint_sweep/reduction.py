@@ -314,16 +314,22 @@ def _of_gap(members: Sequence[Sweep], K: float, per_pressure: float) -> list[Dou
     late = max((one.loop.late for one in members), key=lambda doubt: (doubt.seen, doubt.half))
     gap = 2 * abs(K) * max(one.loop.speed for one in members) * late.half
     apart = np.concatenate([one.apart for one in members])
-    size = float(np.abs(apart.mean(axis=0)).sum())
-    scatter = float(np.linalg.norm(apart.std(axis=0, ddof=1))) / np.sqrt(len(apart)) if len(apart) > 1 else size
+    size, seen = _of_both(apart)
     text = f"the pressures differ by {show(size, 'pressure', 2)}, both muscles together, between the directions"
     reason = f"{text}: the regulators cannot follow. Sweep more slowly"
     return [
         replace(late, half=gap),
         Doubt("drift", "drift", 0.5 * max(one.loop.uneven_drift for one in members), False),
         Doubt(PLAY, "method", 2 * max(one.flank for one in members), False),
-        Doubt("pressures of both directions", "method", per_pressure * size, size > SURE * scatter, reason),
+        Doubt("pressures of both directions", "method", per_pressure * size, seen, reason),
     ]
+
+
+def _of_both(each: Array) -> tuple[float, bool]:
+    """Mean of a difference of the pressures of both muscles together, and whether the rows of `each` (n, 2) agree."""
+    size = float(np.abs(each.mean(axis=0)).sum())
+    scatter = float(np.linalg.norm(each.std(axis=0, ddof=1))) / np.sqrt(len(each)) if len(each) > 1 else size
+    return size, size > SURE * scatter
 
 
 def _along(members: Sequence[Sweep], per_pressure: float, angle: float | None = None) -> Doubt:
@@ -335,14 +341,13 @@ def _along(members: Sequence[Sweep], per_pressure: float, angle: float | None = 
     lower, upper = members[0].loop.ends
     powers = np.vander(np.append(np.linspace(lower, upper, 9), angle or 0.0) - 0.5 * (lower + upper), 4)
     each = ramps @ (powers[-1] if angle is not None else np.array([0.0, 0.0, 1.0, 0.0]))
-    size = float(np.abs(each.mean(axis=0)).sum())
-    scatter = float(np.linalg.norm(each.std(axis=0, ddof=1))) / np.sqrt(len(each))
+    size, seen = _of_both(each)
     span = float(np.ptp(ramps.mean(axis=0) @ powers[:-1].T, axis=1).sum())
     reason = (
         f"along the sweep the pressures change by {show(span, 'pressure', 2)}, both muscles together: the regulators "
         "give way to the motion. Sweep more slowly, or look at the regulators"
     )
-    return Doubt(ALONG, "method", per_pressure * size, size > SURE * scatter, reason)
+    return Doubt(ALONG, "method", per_pressure * size, seen, reason)
 
 
 def _second(members: Sequence[Sweep], each: Sequence[float]) -> Doubt:

@@ -80,16 +80,16 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
 
 WAYS: Mapping[str, tuple[type[GainCell[Any]], Callable[[RunData, TrialData], Examined]]] = {
     "open_loop": (StepsCell, examine_steps),
-    "levels": (LevelsCell, lambda _, trial: examine(trial, _search(trial) or {})),
-    "relay": (RelayCell, lambda run, trial: examine_relay(run, trial, search_of(trial) or {})),
+    "levels": (LevelsCell, lambda _, trial: examine(trial, search_of(trial, "levels") or {})),
+    "relay": (RelayCell, lambda run, trial: examine_relay(run, trial, search_of(trial, "relay") or {})),
 }
 """Methods in order of preference -> their cells, and the function that evaluates a trial."""
 
 
 def _way_of(trial: TrialData) -> tuple[str, str]:
     """The method that a trial was recorded for, and why it cannot be used for that, or empty."""
-    way = "open_loop" if steps_of(trial) else "levels" if search_of(trial) is None else "relay"
-    if way == "levels" and _search(trial) is None:
+    way = "open_loop" if steps_of(trial) else "relay" if search_of(trial, "relay") else "levels"
+    if way == "levels" and search_of(trial, "levels") is None:
         return way, NO_LEVELS
     needed = ("displacement",) if way == "levels" else ("displacement", "pressure")
     return way, next((f"the {name} is not recorded" for name in needed if name not in trial.channels), "")
@@ -108,11 +108,6 @@ def _cells(runs: Sequence[RunData]) -> tuple[list[GainCell[Any]], list[Dropped]]
         else:
             ways[way].append((run, trial))
     return [one for way, (cell, look) in WAYS.items() for one in cell.all_of(ways[way], look)], dropped
-
-
-def _search(trial: TrialData) -> Mapping[str, Any] | None:
-    """The record of the search; None without one."""
-    return next((found for found in trial.found.values() if found.get("levels")), None)
 
 
 def of_open_loops(runs: Sequence[RunData]) -> Analysis:

@@ -24,7 +24,7 @@ from pmabench.analysis.shared.signals import HARMONICS, SEEN, extremes, mode_amp
 from pmabench.base.quantities import show
 from pmabench.kinds.ultimate_gain import ways
 from pmabench.kinds.ultimate_gain.open_loop_fit import balance
-from pmabench.kinds.ultimate_gain.relay_gauge import BETTER, gauge_of
+from pmabench.kinds.ultimate_gain.relay_gauge import BETTER, gauge_of, positive_sizes
 from pmabench.kinds.ultimate_gain.ways import (
     NOTHING,
     SYMBOLS,
@@ -112,9 +112,9 @@ class RelayFound(Examined):
         return NOTHING if self.best is None or self.refused else self.best.fitted
 
 
-def search_of(trial: TrialData) -> Mapping[str, Any] | None:
-    """Record of the law `relay` in this trial; None without one."""
-    return next((found for found in trial.found.values() if found.get("relay")), None)
+def search_of(trial: TrialData, way: str) -> Mapping[str, Any] | None:
+    """Record of the search by `relay` or by `levels` in this trial; None without one."""
+    return next((found for found in trial.found.values() if found.get(way)), None)
 
 
 def examine(run: RunData, trial: TrialData, search: Mapping[str, Any]) -> RelayFound:
@@ -215,8 +215,7 @@ def _measure(
     single = [_fit(t, x, P, switches, ups[i : i + 3], lag, hold) for i in range(0, count - 1, 2)]
     pair = Pair.of(loop, [ultimate(one[0]) for one in single if one is not None])
     found = replace(found, loop=loop, fitted=pair, shape=_shape_of(t, x, switches, ups, loop), left=left)
-    s, (X, Q) = _harmonics(t, (x, P), ups, (lag.get("displacement", 0.0), lag.get("pressure", 0.0)))
-    gauge = gauge_of(s, X, Q)
+    gauge = gauge_of(*_harmonics(t, {"displacement": x, "pressure": P}, ups, lag))
     again = _fit(t, x, P, switches, ups, lag, hold, gauge) if any(gauge) else None
     return found if again is None else replace(found, gauge=gauge, known=Pair.of(again[0], []))
 
@@ -231,26 +230,20 @@ ROOTS = (0.05, 0.1, 0.2)
 
 def _shape_of(t: Array, x: Array, switches: Array, ups: Array, loop: Loop) -> float:
     """Distance of the third harmonic of `x` from that of `loop` with the given command, relative to the first."""
-    t0, t1, periods = float(ups[0]), float(ups[-1]), len(ups) - 1
-    omega = 2 * pi * periods / (t1 - t0)
-    X = mode_amplitudes(t - t0, x, 1j * omega)[1]
-    U = _command_over(switches, t0, t1, periods, HARMONICS)
-    first, third = (complex(U[k]) * complex(loop.response(1j * omega * k)) for k in (1, 3))
+    s, X = _harmonics(t, {"displacement": x}, ups, {})
+    U = _command_over(switches, ups, s)
+    first, third = (complex(U[k]) * complex(loop.response(complex(s[k]))) for k in (0, 2))
     return float(abs(X[2] / X[0] - third / first))
 
 
-def _command_over(switches: Array, t0: float, t1: float, periods: int, harmonics: int) -> ComplexArray:
-    """Mean and amplitudes a_k - j b_k of the piecewise constant command over the `periods` periods of [t0, t1]."""
-    omega = 2 * pi * periods / (t1 - t0)
-    found = np.zeros(harmonics + 1, dtype=np.complex128)
+def _command_over(switches: Array, ups: Array, s: ComplexArray) -> ComplexArray:
+    """Amplitudes a_k - j b_k of the piecewise constant command at the harmonics `s` [1/s], between `ups`."""
+    t0, t1 = float(ups[0]), float(ups[-1])
+    found = np.zeros_like(s)
     for (begin, value), (end, _) in pairwise(switches):
         a, b = max(begin, t0) - t0, min(end, t1) - t0
-        if b <= a:
-            continue
-        found[0] += value * (b - a) / (t1 - t0)
-        for k in range(1, harmonics + 1):
-            s = -1j * k * omega
-            found[k] += value * 2 / (t1 - t0) * (np.exp(s * b) - np.exp(s * a)) / s
+        if b > a:
+            found += value * 2 / (t1 - t0) * (np.exp(-s * a) - np.exp(-s * b)) / s
     return found
 
 
@@ -265,12 +258,10 @@ def _fit(
     a sampled controller. Also the distance of the pressure from the loop, relative to its first harmonic [1]. None
     where no such loop results.
     """
-    t0, t1, periods = float(ups[0]), float(ups[-1]), len(ups) - 1
-    at = (t >= t0) & (t < t1)
-    if at.sum() < 8 * (HARMONICS + 1) * periods:
+    if np.count_nonzero((t >= ups[0]) & (t < ups[-1])) < 8 * (HARMONICS + 1) * (len(ups) - 1):
         return None
-    U = _command_over(switches, t0, t1, periods, HARMONICS)[1:]
-    s, (X, Q) = _harmonics(t, (x, P), ups, (lag.get("displacement", 0.0), lag.get("pressure", 0.0)))
+    s, X, Q = _harmonics(t, {"displacement": x, "pressure": P}, ups, lag)
+    U = _command_over(switches, ups, s)
     Q = Q * (1 + gauge[0] * s) * np.exp(gauge[1] * s)
     if not (np.all(np.isfinite(X)) and np.all(np.isfinite(Q))) or abs(X[0]) == 0 or abs(Q[0]) == 0:
         return None
@@ -285,17 +276,15 @@ def _fit(
     return None if loop is None else (loop, left)
 
 
-def _harmonics(
-    t: Array, signals: Sequence[Array], ups: Array, lags: Sequence[float]
-) -> tuple[ComplexArray, list[ComplexArray]]:
-    """The harmonics `s` [1/s] of the oscillation between `ups`, and their amplitudes in signals whose sensors have
-    `lags` [s].
+def _harmonics(t: Array, channels: Mapping[str, Array], ups: Array, lag: Mapping[str, float]) -> list[ComplexArray]:
+    """The harmonics `s` [1/s] of the oscillation between `ups`, and their amplitudes in each of the channels, whose
+    sensors have the `lag` [s].
     """
     t0, t1 = float(ups[0]), float(ups[-1])
     at, omega = (t >= t0) & (t < t1), 2 * pi * (len(ups) - 1) / (t1 - t0)
     s = (1j * omega * np.arange(1, HARMONICS + 1)).astype(np.complex128)
-    found = [mode_amplitudes(t[at] - t0, y[at], 1j * omega)[1] for y in signals]
-    return s, [one * (1 + lag * s) for one, lag in zip(found, lags, strict=True)]
+    found = {name: mode_amplitudes(t[at] - t0, y[at], 1j * omega)[1] for name, y in channels.items()}
+    return [s, *(size * (1 + lag.get(name, 0.0) * s) for name, size in found.items())]
 
 
 def _regulator(s: ComplexArray, U: ComplexArray, Q: ComplexArray) -> tuple[float, tuple[complex, ...], float]:
@@ -336,11 +325,8 @@ def _muscle(s: ComplexArray, X: ComplexArray, Q: ComplexArray) -> tuple[float, t
     Q = (1 + tau s + beta s^2) X / k_g by least squares; without beta if that is negative.
     """
     for powers in ((0, 1, 2), (0, 1)):
-        columns = np.column_stack([X * s**power for power in powers])
-        size = np.linalg.norm(columns, axis=0)
-        design = np.concatenate([columns.real, columns.imag]) / size
-        found = np.linalg.lstsq(design, np.concatenate([Q.real, Q.imag]), rcond=None)[0] / size
-        if np.all(found > 0):
+        found, left = positive_sizes([X * s**power for power in powers], Q)
+        if isfinite(left):
             tau, beta = float(found[1] / found[0]), float(found[2] / found[0]) if len(found) > 2 else 0.0
             return float(1 / found[0]), lags_of(tau, beta)
     return None
@@ -402,7 +388,7 @@ class RelayCell(GainCell[RelayFound]):
         mask = (trial.t >= begin) & (trial.t <= best.t1)
         names = [name for name in ("displacement", "pressure", "pressure_command") if name in trial.channels]
         columns = {"t": trial.t[mask] - begin, **{name: trial.channels[name][mask] for name in names}}
-        marks = {"centre": float((search_of(trial) or {}).get("centre", 0.0)), "hysteresis": best.hysteresis}
+        marks = {"centre": float((search_of(trial, "relay") or {}).get("centre", 0.0)), "hysteresis": best.hysteresis}
         return [self.trace("relay", f"Relay oscillation, {show(best.amplitude, 'pressure')}", columns, marks)]
 
 

@@ -8,6 +8,7 @@ from math import inf, pi
 import numpy as np
 
 from pmabench.model.loop import ComplexArray
+from pmabench.store.records import Array
 
 BETTER = 0.5
 """Another form is used if its residual is below this share of that of the simpler one; of the regulator its square:
@@ -27,7 +28,8 @@ def gauge_of(s: ComplexArray, X: ComplexArray, Q: ComplexArray) -> tuple[float, 
     """
 
     def left(Q: ComplexArray, *more: ComplexArray) -> tuple[float, float]:
-        return min(_leaves([*(X * s**power for power in range(most)), *more], Q) for most in (2, 3))
+        fits = (positive_sizes([*(X * s**power for power in range(most)), *more], Q) for most in (2, 3))
+        return min((residual, float(sizes[-1])) for sizes, residual in fits)
 
     plain, (filtered, size) = left(Q)[0], left(Q, -s * Q)
     delays = np.linspace(0.0, EARLY * 2 * pi / float(s[0].imag), TRIED)
@@ -37,14 +39,14 @@ def gauge_of(s: ComplexArray, X: ComplexArray, Q: ComplexArray) -> tuple[float, 
     return (size, 0.0) if filtered < delayed else (0.0, delay)
 
 
-def _leaves(columns: Sequence[ComplexArray], Q: ComplexArray) -> tuple[float, float]:
-    """Residual of the least squares of `Q` by `columns`, relative to its first harmonic; and the last coefficient.
+def positive_sizes(columns: Sequence[ComplexArray], Q: ComplexArray) -> tuple[Array, float]:
+    """Sizes of `columns` in `Q` by least squares; and the residual, relative to its first harmonic.
 
-    Lags below 0 fit nothing.
+    The residual is inf where a size is not positive: lags below 0 fit nothing.
     """
     made = np.column_stack(columns)
     size = np.linalg.norm(made, axis=0)
     design, wanted = (np.concatenate([one.real, one.imag]) for one in (made / size, Q))
     found = np.linalg.lstsq(design, wanted, rcond=None)[0]
     left = float(np.linalg.norm(design @ found - wanted) / abs(Q[0]))
-    return left if np.all(found > 0) else inf, float(found[-1] / size[-1])
+    return found / size, left if np.all(found > 0) else inf

@@ -58,6 +58,7 @@ VACUUM = -30e3
 MANY = 100
 """Least number of samples that show whether a channel has whole numbers only."""
 
+WRONG = "the unit or the scale of force or pressure is wrong, or the inner diameter"
 CONFUSED = {
     "is the pressure in bar, not kPa?": 1e-2,
     "is the pressure in psi, not kPa?": 1e3 / PSI,
@@ -135,10 +136,10 @@ def judge(
     if m is not None:
         questions += _steep(report, m, peak, muscle, pressure)
     lengths = set_length or channels.get("displacement")
-    if muscle.driven and not muscle.held and muscle.length and lengths is not None:
-        questions += _weak(report, _longest(P, F, lengths.si[good], muscle.length), SHARE, muscle, force)
-    elif muscle.held:
+    if muscle.held:
         questions += _weak(report, m, 1.0, muscle, force)
+    elif muscle.driven and muscle.length and lengths is not None:
+        questions += _weak(report, _longest(P, F, lengths.si[good], muscle.length), SHARE, muscle, force)
     return questions
 
 
@@ -154,30 +155,19 @@ def _longest(P: Array, F: Array, x: Array, length: float) -> float | None:
 def _weak(report: Report, m: float | None, share: float, muscle: Muscle, force: Checked) -> list[Question]:
     """Compare the force per pressure [N/Pa] at hardly any contraction with the least for the inner diameter."""
     area = pi * (muscle.diameter or 0.0) ** 2 / 4.0
-    if m is None or m <= 0 or not area or not _long(muscle) or (muscle.held and not _stretched(muscle)):
+    if m is None or not 0 < m < WEAK * area or not _long(muscle) or (muscle.held and not _stretched(muscle)):
         return []
-    if m >= WEAK * area:
-        return []
-    bore, units = show(muscle.diameter or 0.0, "length", 3), _units(m, _usual(area))
-    text = (
-        f"where the muscle is longest force over pressure is {in_words(m, 'force')}, {m / area:.2g} times the area of "
-    )
-    text += f"a bore of {bore}"
+    units = _units(m, lambda x: 2.0 * area <= x <= 14.0 * area)
+    text = f"where the muscle is longest force over pressure is {in_words(m, 'force')}, {m / area:.2g} times the area "
+    text += f"of a bore of {show(muscle.diameter or 0.0, 'length', 3)}"
     if m < share * area_factor(FLATTEST) * area:
         if not muscle.held:  # of a held one `_steep` says it
-            text += (
-                f"; braids give {area_factor(FLATTEST):.2g} times at least: the unit or the scale of force or pressure "
-            )
-            report.withhold("magnitude", text + "is wrong, or the inner diameter" + units, "force")
+            text += f"; braids give {area_factor(FLATTEST):.2g} times at least: {WRONG}"
+            report.withhold("magnitude", text + units, "force")
         return []
     asked = f"is the force in {force.rule.raw_unit}, as the map says?{units} {text[0].upper()}{text[1:]}, "
     asked += "where long muscles give 8 to 10 times; correct the unit, or say confirmed: [force-unit]"
     return [Question("force-unit", force.rule.column, asked, force.rule.raw_unit)]
-
-
-def _usual(area: float) -> Callable[[float], bool]:
-    """Whether a force per pressure [N/Pa] is usual for a bore area [m2]."""
-    return lambda m: 2.0 * area <= m <= 14.0 * area
 
 
 def slope_of(P: Array, F: Array) -> float | None:
@@ -227,14 +217,9 @@ def _steep(report: Report, m: float, peak: float, muscle: Muscle, pressure: Chec
     least = area_factor(FLATTEST) * area if muscle.held and _long(muscle) and _stretched(muscle) else 0.0
     if least <= m <= most * area:
         return _low(pressure, peak) if m > USUAL * area else []
-    bore = show(muscle.diameter, "length", 3)
-    bounds = (
-        f"{in_words(least, 'force')} to {in_words(most * area, 'force')}"
-        if least
-        else (f"at most {in_words(most * area, 'force')}")
-    )
-    text = f"{word} is {in_words(m, 'force')}; a muscle of {bore} gives {bounds}: the unit or the scale of force or "
-    text += "pressure is wrong, or the inner diameter"
+    low = f"{in_words(least, 'force')} to" if least else "at most"
+    text = f"{word} is {in_words(m, 'force')}; a muscle of {show(muscle.diameter, 'length', 3)} gives {low} "
+    text += f"{in_words(most * area, 'force')}: {WRONG}"
     report.withhold("magnitude", text + _units(m, lambda x: max(least, 2.0 * area) <= x <= 14.0 * area), "force")
     return []
 
@@ -359,16 +344,15 @@ def _converter(report: Report, channel: Checked, good: Bools) -> list[Question]:
         return []
     whole = bool(np.all(marks == np.round(marks)))
     scaled = rule.raw_unit in {"count", "g", "Pa", "mV", "mbar", "hPa", "um"}
-    if whole and not scaled and float(np.abs(marks).max()) >= 50:
-        text = (
-            f"holds whole numbers only, {marks[0]:g} to {marks[-1]:g}, and they are called {rule.raw_unit}: are they "
-            'counts of a converter? Then say "unit: count" and the line of its calibration; if not, '
-            "confirmed: [counts]"
-        )
-        if spelled(rule.column) == rule.raw_unit or _names_unit(rule.column, rule.raw_unit):
-            return [Question("counts", rule.column, text, rule.raw_unit)]
-        report.withhold("counts", text, rule.role)
+    if not whole or scaled or float(np.abs(marks).max()) < 50:
         return []
+    text = (
+        f"holds whole numbers only, {marks[0]:g} to {marks[-1]:g}, and they are called {rule.raw_unit}: are they "
+        'counts of a converter? Then say "unit: count" and the line of its calibration; if not, confirmed: [counts]'
+    )
+    if spelled(rule.column) == rule.raw_unit or _names_unit(rule.column, rule.raw_unit):
+        return [Question("counts", rule.column, text, rule.raw_unit)]
+    report.withhold("counts", text, rule.role)
     return []
 
 

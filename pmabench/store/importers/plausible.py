@@ -164,17 +164,7 @@ MATTERS = 0.01
 def late(report: Report, force: Checked, pressure: Checked, good: Bools) -> bool:
     """Report a lag or lead of force against pressure above `LEAST`; returns whether there is. `good`: shape (n,)."""
     rows = np.flatnonzero(good & motion.later(report.t))
-    if len(rows) < 200:
-        return False
-    t = report.t[rows]
-    usual = float(np.median(np.diff(t)))
-    period = max(usual, PERIOD, float(t[-1] - t[0]) / POINTS)
-    grid = np.arange(t[0], t[-1], period)
-    F, P = (np.interp(grid, t, _averaged(channel.si[rows], period / usual)) for channel in (force, pressure))
-    most = int(min(MOST / period, len(grid) / 8))
-    if most < 3 or np.ptp(F) == 0 or np.ptp(P) == 0:
-        return False
-    seconds = _lag(F, P, most) * period
+    seconds, period, (F, P) = _behind(report.t[rows], (force.si[rows], pressure.si[rows]), PERIOD)
     if abs(seconds) < max(LEAST, 3.0 * period):
         return False
     shift = max(2, round(0.5 * abs(seconds) / period))  # half of the lag: another reversal may follow
@@ -182,7 +172,7 @@ def late(report: Report, force: Checked, pressure: Checked, good: Bools) -> bool
     share = _goes_on(first, second, shift)
     if share is None or share < GOES_ON:
         return False
-    moved = np.interp(report.t + seconds, t, force.si[rows])[rows]
+    moved = np.interp(report.t[rows] + seconds, report.t[rows], force.si[rows])
     as_is, shifted = (magnitude.slope_of(pressure.si[rows], pulls) for pulls in (force.si[rows], moved))
     change = as_is / shifted - 1.0 if as_is is not None and shifted else 0.0
     way = "later" if seconds > 0 else "earlier"
@@ -197,6 +187,23 @@ def late(report: Report, force: Checked, pressure: Checked, good: Bools) -> bool
     return True
 
 
+def _behind(
+    t: Array, pair: tuple[Array, Array], finest: float, *, alone: bool = False
+) -> tuple[float, float, tuple[Array, Array]]:
+    """Time [s] by which the first channel of a `pair`, shape (n,), follows the other, 0 where that is not known; the
+    period of the comparison [s], `finest` at least; and both channels at even times.
+    """
+    if len(t) < 200:
+        return 0.0, 0.0, pair
+    usual = float(np.median(np.diff(t)))
+    period = max(usual, finest, float(t[-1] - t[0]) / POINTS)
+    grid = np.arange(t[0], t[-1], period)
+    one, other = (np.interp(grid, t, _averaged(y, period / usual)) for y in pair)
+    most = int(min(MOST / period, len(grid) / 8))
+    known = most >= 3 and np.ptp(one) > 0 and np.ptp(other) > 0
+    return _lag(one, other, most, alone=alone) * period if known else 0.0, period, (one, other)
+
+
 LED = 0.03
 """Least lead [s] of pressure over its command that is reported, if also three samples: commands are polled, too."""
 
@@ -204,17 +211,7 @@ LED = 0.03
 def led(report: Report, pressure: Checked, command: Checked, good: Bools) -> None:
     """Report a measured pressure that moves before its command; only `good` samples count, shape (n,)."""
     rows = np.flatnonzero(good & motion.later(report.t))
-    if len(rows) < 200:
-        return
-    t = report.t[rows]
-    usual = float(np.median(np.diff(t)))
-    period = max(usual, float(t[-1] - t[0]) / POINTS)
-    grid = np.arange(t[0], t[-1], period)
-    C, P = (np.interp(grid, t, _averaged(channel.si[rows], period / usual)) for channel in (command, pressure))
-    most = int(min(MOST / period, len(grid) / 8))
-    if most < 3 or np.ptp(C) == 0 or np.ptp(P) == 0:
-        return
-    seconds = _lag(C, P, most, alone=True) * period
+    seconds, period, _ = _behind(report.t[rows], (command.si[rows], pressure.si[rows]), 0.0, alone=True)
     if seconds < max(LED, 3.0 * period):
         return
     text = f"moves {show(seconds, 'time', 3)} before its command: the columns of command and measured pressure look "
