@@ -147,7 +147,6 @@ ALSO = {
 """What else the record of a rig must show."""
 
 
-@pytest.mark.singly
 @each(*RIGS, slow=[name for name, rig in RIGS.items() if rig.slow])
 def test_coefficients_come_back(tmp_path, rig):
     of = RIGS[rig]
