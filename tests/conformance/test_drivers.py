@@ -30,7 +30,6 @@ def test_a_driver_without_an_emulator_is_never_opened():
 
 
 @pytest.mark.realtime
-@pytest.mark.singly
 @pytest.mark.parametrize("driver", shipped())
 def test_over_its_wire(driver, record_property):
     count = cases(150)

@@ -10,7 +10,7 @@ from tests.reliability.cases import cases
 from tests.session.wrong_benches import RIGS
 from tests.session.wrong_wires import BY_DRIVER, NAMED, NOT_CHECKED, REFUSED, emulated_rig
 
-pytestmark = [pytest.mark.realtime, pytest.mark.singly, pytest.mark.timeout(7200)]
+pytestmark = [pytest.mark.realtime, pytest.mark.timeout(7200)]
 UNDECIDABLE = {"displacement and displacement_command exchanged"}
 """One drive gives both, with one scale: no independent reference."""
 
