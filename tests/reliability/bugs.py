@@ -291,8 +291,8 @@ BUGS = (
     Bug(
         "a delay begins again with every block",
         "pmabench/engine/watch.py",
-        "watched.since = float(since) if since is not None and outside[-1] else None",
-        "watched.since = None",
+        "moment if watched.since is None else watched.since",
+        "moment if watched.since is None or index == 0 else watched.since",
         ("tests/engine/test_watch.py",),
     ),
     Bug(
