@@ -27,6 +27,7 @@ from tests.guard.rig import DEVICE, DRIVE, DRIVER, OUTPUT, SAFE, Rig, armed, ben
 from tests.guard.serving import ANSWERS, ASKS, TOKEN, Serving
 from tests.reliability.cases import cases
 
+pytestmark = pytest.mark.realtime
 SAFE_COMMANDS = [("halt", "x"), ("write", "p", 0.0), ("switch", "v", False)]
 
 
@@ -84,7 +85,7 @@ def ended_by(serving, why, *, how="lost"):
 
 
 def test_a_silent_engine_is_lost():
-    with Serving() as serving:
+    with Serving(pauses=True) as serving:
         serving.armed()
         began = time.monotonic()
         ended_by(serving, "the engine was silent for")
@@ -92,7 +93,7 @@ def test_a_silent_engine_is_lost():
 
 
 def test_what_the_guard_itself_takes_is_no_silence(monkeypatch):
-    with Serving() as serving:
+    with Serving(pauses=True) as serving:
         link = serving.link()
         serving.ask(link, "open")
         slow = serving.guard.arm
@@ -201,7 +202,7 @@ def test_an_open_interlock_and_a_lost_device_end_it():
 
 
 def test_a_changed_wall_clock_is_no_lost_time(monkeypatch):
-    with Serving() as serving:
+    with Serving(pauses=True) as serving:
         link = serving.armed()
         monkeypatch.setattr(process.time, "time", lambda: 4e9)
         serving.ask(link, "status")
@@ -211,7 +212,7 @@ def test_a_changed_wall_clock_is_no_lost_time(monkeypatch):
 @pytest.mark.parametrize("asleep", [0.3, 0.9, 3600.0])
 def test_a_computer_that_slept_ends_the_run_whatever_was_sent_before(monkeypatch, asleep):
     """The sleep shows in the clock since boot only; the engine's message from before it lies in the socket."""
-    with Serving() as serving:
+    with Serving(pauses=True) as serving:
         link = serving.armed()
         link.sendall(encode({"do": "set", "name": "pressure", "value": 1e5, "at": time.monotonic()}, ASKS))
         boot = time.clock_gettime
@@ -230,7 +231,7 @@ def test_a_system_without_a_clock_that_sees_sleep_has_the_monotonic_one(monkeypa
 
 
 def test_a_guard_that_only_waits_for_a_device_was_not_interrupted(monkeypatch):
-    with Serving(threads=True) as serving:
+    with Serving(pauses=True, threads=True) as serving:
         link = serving.armed()
         collect = serving.guard.links.collect
         monkeypatch.setattr(
@@ -318,9 +319,7 @@ def test_a_command_that_is_acknowledged_and_not_carried_out_is_noticed():
         assert "was commanded to 300 kPa and the device holds 0 kPa" in serving.service._ended["why"]
 
 
-def test_a_bench_that_does_what_it_was_asked_is_left_alone(monkeypatch):
-    monkeypatch.setattr(process, "SILENCE", 60.0)  # this test is not about a machine that is busy
-    monkeypatch.setattr(process, "LOST_TIME", 60.0)
+def test_a_bench_that_does_what_it_was_asked_is_left_alone():
     with Serving(threads=True) as serving:
         link = serving.armed()
         serving.rig.reports["uptime"] = 6.0
@@ -872,7 +871,7 @@ def test_a_device_that_reports_nothing_of_itself_is_watched_by_its_outputs():
 @pytest.mark.parametrize("failure", ["hangs", "an answer was lost"])
 def test_what_a_device_did_in_lost_time_is_recorded_although_it_answers_late(monkeypatch, failure):
     """A question was under way when both stood still; the first answers after it come late, or not at all."""
-    with Serving(threads=True) as serving:
+    with Serving(pauses=True, threads=True) as serving:
         serving.armed()
         serving.rig.reads["pressure"] = 3e5
         serving.rig.wrong["held"] = threading.Event() if failure == "hangs" else failure
@@ -895,7 +894,7 @@ def test_what_a_device_did_in_lost_time_is_recorded_although_it_answers_late(mon
 
 
 def test_a_device_that_never_says_what_it_did_in_lost_time_is_named(monkeypatch):
-    with Serving(threads=True) as serving:
+    with Serving(pauses=True, threads=True) as serving:
         serving.armed()
         serving.rig.wrong["held"] = "does not answer"
         boot = time.clock_gettime
@@ -906,7 +905,7 @@ def test_a_device_that_never_says_what_it_did_in_lost_time_is_named(monkeypatch)
 
 
 def test_devices_that_are_as_they_were_are_not_named(monkeypatch):
-    with Serving(threads=True) as serving:
+    with Serving(pauses=True, threads=True) as serving:
         serving.armed()
         boot = time.clock_gettime
         monkeypatch.setattr(process.time, "clock_gettime", lambda clock: boot(clock) + 0.9)
