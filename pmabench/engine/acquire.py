@@ -92,8 +92,8 @@ class Acquisition:
         self._watch: Watch | None = Watch(bench.trips, bench.channels, self.commanded, bench.hands_below)
         self._bench = bench
         self._tripped: Exception | None = None
-        self.doubted = ""
-        """Pressure that reads low, and does not follow its command or stands still: it confirms no vent; or empty."""
+        self.doubted = set[str]()
+        """Pressures that read low, and do not follow their command or do not change: they confirm no vent."""
         self._lock = threading.RLock()
         self._stop: Stop | None = None
         self._stopped: float | None = None
@@ -394,10 +394,8 @@ class Acquisition:
         """Carry out the actions of the limits: warn, hold, or end the run."""
         for trip in trips:
             if trip.limit.kind in {"following", "frozen"} and CHANNEL_QUANTITY[trip.limit.channel] == "pressure":
-                if trip.value < self._bench.hands_below and not trip.over:
-                    self.doubted = self.doubted or trip.limit.channel
-                elif self.doubted == trip.limit.channel:
-                    self.doubted = ""
+                doubts = trip.value < self._bench.hands_below and not trip.over
+                (self.doubted.add if doubts else self.doubted.discard)(trip.limit.channel)
             if trip.limit.action in ENDS:
                 self._tripped = Tripped(trip)
                 if trip.limit.action == "vent":

@@ -288,7 +288,7 @@ class _Run:
         acquisition, executor = self.acquisition, self.executor
         acquisition.check = self._check
         acquisition.on_trip = lambda why, latches, hurry: self.guard.begin_safe(
-            tripped=latches, hurry=hurry, why=why, doubted=acquisition.doubted
+            tripped=latches, hurry=hurry, why=why, doubted=(*acquisition.doubted,)
         )
         if isinstance(self.guard, RemoteGuard):
             acquisition.beat, self.guard.hurried = self.guard.beat, self.signals.hurry
@@ -392,7 +392,7 @@ class _Run:
         self.signals.news()
         self.signals.shut()
         why = str(cause) if cause is not None else "end of the run"
-        tripped, doubted = isinstance(cause, LimitTripped), acquisition.doubted
+        tripped, doubted = isinstance(cause, LimitTripped), (*acquisition.doubted,)
         self.guard.begin_safe(tripped=tripped, why=why, doubted=doubted)  # first: it must not wait
         acquisition.begin_safe_state()
         ending = Forgiving(executor.recorder)

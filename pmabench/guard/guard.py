@@ -7,7 +7,7 @@ In virtual time it lives in the engine's process, at a real bench in the guard p
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
 from enum import Enum
 from functools import partial
@@ -302,11 +302,11 @@ class Guard:
 
     # -- the safe state -----------------------------------------------------------------------------------------
 
-    def begin_safe(self, *, tripped: bool = False, hurry: int = 0, why: str = "", doubted: str = "") -> None:
+    def begin_safe(self, *, tripped: bool = False, hurry: int = 0, why: str = "", doubted: Collection[str] = ()) -> None:
         """Begin the declared safe state; once it is over, only send its commands again.
 
-        `hurry` 1 skips ramps and holds, 2 also ends the wait for confirmations. The first `why` is kept. `doubted` is a
-        channel that reads low and may stand still: it confirms nothing until it has read high.
+        `hurry` 1 skips ramps and holds, 2 also ends the wait for confirmations. The first `why` is kept. `doubted` are
+        channels that read low and may not move: they confirm nothing until they have read high.
         """
         self.why = self.why or why
         self._tripped = self._tripped or tripped or self.state is State.TRIPPED

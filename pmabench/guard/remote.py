@@ -14,7 +14,7 @@ import sys
 import threading
 import time
 from array import array
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
 from typing import IO, Any
 
@@ -39,7 +39,7 @@ def vent_directly(
     bench: CompiledBench,
     station: Station,
     why: str,
-    doubted: str = "",
+    doubted: Collection[str] = (),
     hurried: Callable[[], int] = lambda: 0,
 ) -> Vent:
     """Open the guarded devices here, run the safe state, write its result into the bench's state folder.
@@ -168,7 +168,7 @@ class RemoteGuard:
         self._process: subprocess.Popen[bytes] | None = None
         self._here: dict[str, Any] = {}
         self._safe = False
-        self._doubted, self._hurry = "", 0
+        self._doubted, self._hurry = set[str](), 0
         """As in `begin_safe`, in case the guard is lost."""
         self.hurried: Callable[[], int] = lambda: 0
         """Level of `begin_safe` that the operator has asked for since the last call; for a vent without the guard."""
@@ -272,11 +272,11 @@ class RemoteGuard:
         output = self._outputs[name]
         return float(output.scale.to_si(to_device(output, value)))
 
-    def begin_safe(self, *, tripped: bool = False, hurry: int = 0, why: str = "", doubted: str = "") -> None:
+    def begin_safe(self, *, tripped: bool = False, hurry: int = 0, why: str = "", doubted: Collection[str] = ()) -> None:
         """Have the guard begin the safe state; from any thread. `safe_state` waits for its end."""
-        self._safe, self._doubted, self._hurry = True, self._doubted or doubted, max(self._hurry, hurry)
+        self._safe, self._doubted, self._hurry = True, self._doubted.union(doubted), max(self._hurry, hurry)
         with suppress(PmaError):
-            self.ask("safe", tripped=tripped, hurry=hurry, why=why, doubted=doubted)
+            self.ask("safe", tripped=tripped, hurry=hurry, why=why, doubted=[*doubted])
 
     def safe_state(self, measure: Measure, *, tripped: bool = False, why: str = "") -> Vent:
         """As `Guard.safe_state`. If the guard is gone, the engine opens the devices itself."""

@@ -177,9 +177,9 @@ class SafeState:
         motions: Collection[str],
         expected: Callable[[str], tuple[float, float]],
         compare: Callable[[], list[Call]],
-        blind: str = "",
+        blind: Collection[str] = (),
     ) -> None:
-        self._compare, self._blind = compare, blind
+        self._compare, self._blind = compare, {*blind}
         self._asked: list[Call] | None = None
         """Questions whether the devices that confirm still measure as they did when armed."""
         self._floors, self._motions, self._unanswered, self._expected = floors, motions, unanswered, expected
@@ -237,7 +237,7 @@ class SafeState:
     def step(self, now: float, latest: Mapping[str, float]) -> bool:
         """Do what can be done now, with the `latest` measured values [SI]; returns whether it is over."""
         self._gather(now)
-        self._blind *= not any(a.target == self._blind and latest.get(a.target, -inf) >= a.value for a in self._finals)
+        self._blind -= {a.target for a in self._finals if latest.get(a.target, -inf) >= a.value}
         for command, sent in list(self._again.items()):
             if command.target in self.unsettled and now - sent.since >= RETRY:
                 self._send_again(command, now)
@@ -370,7 +370,7 @@ class SafeState:
             self._watched = [_Watched(action, self._floors.get(action.target, -inf)) for action in actions]
         late, back = self._late(), False
         for watched in self._watched:
-            value, watched.blind = latest.get(watched.action.target), watched.action.target == self._blind
+            value, watched.blind = latest.get(watched.action.target), watched.action.target in self._blind
             back = (value is not None and watched.look(value, now)) or back
             watched.since = None if self._sent else watched.since
             if watched.unmoved(now) and watched.action.target in self._ends:

@@ -422,11 +422,12 @@ def test_what_another_channel_does_leaves_the_doubt_of_a_gauge():
     acquisition = Acquisition.__new__(Acquisition)
     acquisition._bench = SimpleNamespace(hands_below=10e3)
     acquisition._recorder = SimpleNamespace(event=lambda *_, **__: None)
-    acquisition.doubted, acquisition.holding = "", set()
-    gauge, cell = (TripRecord(name, None, None, 5.0, "warn", "bench.yaml", "frozen") for name in ("pressure", "force"))
+    acquisition.doubted, acquisition.holding = set(), set()
+    names = ("pressure", "pressure_2", "force")
+    gauge, other, cell = (TripRecord(name, None, None, 5.0, "warn", "bench.yaml", "frozen") for name in names)
     seen = []
     for trip in (Trip(gauge, 0, 10.0, 0.0), Trip(cell, 0, 11.0, 350.0), Trip(cell, 0, 12.0, 351.0, over=True),
-                 Trip(gauge, 0, 13.0, 50e3, over=True)):  # fmt: skip
+                 Trip(other, 0, 12.0, 0.0), Trip(gauge, 0, 13.0, 50e3, over=True)):  # fmt: skip
         acquisition._act([trip])
-        seen.append(acquisition.doubted)
-    assert seen == ["pressure", "pressure", "pressure", ""]
+        seen.append(set(acquisition.doubted))
+    assert seen == [{names[0]}, {names[0]}, {names[0]}, {*names[:2]}, {names[1]}]

@@ -217,7 +217,7 @@ def test_the_engine_passes_on_which_gauge_it_doubted(monkeypatch):
     """A gauge that reads 0 and stood still while the muscle was filled confirms nothing after the guard's death either."""
     station(what="armed", run="r")
     guard = RemoteGuard(BENCH, RealClock())
-    guard.begin_safe(tripped=True, why="following", doubted="pressure")
+    guard.begin_safe(tripped=True, why="following", doubted=("pressure",))
     guard.begin_safe(tripped=True, why="following")
     assert guard.safe_state(dict, why="following").result == "commanded"
 
