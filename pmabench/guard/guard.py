@@ -7,7 +7,7 @@ In virtual time it lives in the engine's process, at a real bench in the guard p
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from enum import Enum
 from functools import partial
@@ -302,7 +302,7 @@ class Guard:
 
     # -- the safe state -----------------------------------------------------------------------------------------
 
-    def begin_safe(self, *, tripped: bool = False, hurry: int = 0, why: str = "", doubted: Collection[str] = ()) -> None:
+    def begin_safe(self, *, tripped: bool = False, hurry: int = 0, why: str = "", doubted: Sequence[str] = ()) -> None:
         """Begin the declared safe state; once it is over, only send its commands again.
 
         `hurry` 1 skips ramps and holds, 2 also ends the wait for confirmations. The first `why` is kept. `doubted` are

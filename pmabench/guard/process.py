@@ -18,7 +18,7 @@ import threading
 import time
 import traceback
 from array import array
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from types import FrameType
@@ -276,7 +276,7 @@ class Service:
         own = {c.name for d in self.guard.bench.devices if d.name in self.guard.devices for c in d.channels}
         return {name: float(value) for name, value in seen.items() if name not in own}
 
-    def do_safe(self, peer: _Peer, *, tripped: bool, hurry: int, why: str, doubted: Collection[str] = ()) -> None:
+    def do_safe(self, peer: _Peer, *, tripped: bool, hurry: int, why: str, doubted: Sequence[str] = ()) -> None:
         """The engine ends the run: begin the safe state."""
         self._end("engine", why, tripped=tripped, hurry=hurry, doubted=doubted)
 
@@ -334,7 +334,7 @@ class Service:
         elif self.guard.state is State.STOPPING:
             self.guard.begin_safe(hurry=True)  # another process may have vented meanwhile: no ramp continues
 
-    def _end(self, how: str, why: str, *, tripped: bool = True, hurry: int = 0, doubted: Collection[str] = ()) -> None:
+    def _end(self, how: str, why: str, *, tripped: bool = True, hurry: int = 0, doubted: Sequence[str] = ()) -> None:
         """Begin the safe state; the first cause is kept and reported."""
         first = not self._ended
         self._ended = self._ended or {"how": how, "why": why}

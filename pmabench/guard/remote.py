@@ -14,7 +14,7 @@ import sys
 import threading
 import time
 from array import array
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from typing import IO, Any
 
@@ -39,7 +39,7 @@ def vent_directly(
     bench: CompiledBench,
     station: Station,
     why: str,
-    doubted: Collection[str] = (),
+    doubted: Sequence[str] = (),
     hurried: Callable[[], int] = lambda: 0,
 ) -> Vent:
     """Open the guarded devices here, run the safe state, write its result into the bench's state folder.
@@ -168,7 +168,7 @@ class RemoteGuard:
         self._process: subprocess.Popen[bytes] | None = None
         self._here: dict[str, Any] = {}
         self._safe = False
-        self._doubted, self._hurry = set[str](), 0
+        self._doubted, self._hurry = tuple[str, ...](), 0
         """As in `begin_safe`, in case the guard is lost."""
         self.hurried: Callable[[], int] = lambda: 0
         """Level of `begin_safe` that the operator has asked for since the last call; for a vent without the guard."""
@@ -272,9 +272,9 @@ class RemoteGuard:
         output = self._outputs[name]
         return float(output.scale.to_si(to_device(output, value)))
 
-    def begin_safe(self, *, tripped: bool = False, hurry: int = 0, why: str = "", doubted: Collection[str] = ()) -> None:
+    def begin_safe(self, *, tripped: bool = False, hurry: int = 0, why: str = "", doubted: Sequence[str] = ()) -> None:
         """Have the guard begin the safe state; from any thread. `safe_state` waits for its end."""
-        self._safe, self._doubted, self._hurry = True, self._doubted.union(doubted), max(self._hurry, hurry)
+        self._safe, self._doubted, self._hurry = True, (*self._doubted, *doubted), max(self._hurry, hurry)
         with suppress(PmaError):
             self.ask("safe", tripped=tripped, hurry=hurry, why=why, doubted=[*doubted])
 
