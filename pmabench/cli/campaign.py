@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -83,7 +84,7 @@ def run_campaign(
 
     `how`: operator_name, yes and session of `execute`; the options of the session are for the first run alone.
     """
-    from pmabench.cli.prepare import Prepared, seeded
+    from pmabench.cli.prepare import seeded
     from pmabench.cli.run import execute
     from pmabench.cli.runs import ended_early
     from pmabench.kinds.compile import plan_campaign
@@ -110,9 +111,8 @@ def run_campaign(
             title += f", going on after {folder.name}"
             continues = continue_run(folder, run.plan, mounted, run.protocol_text)
         ui.note(title)
-        prepared = Prepared(run.plan, mounted, run.protocol_text, run.deviations, run.sources, run.slower, run.doubts)
         about = {"campaign": {"name": name, "number": number, "of": len(planned)}}
-        outcome = execute(ui, prepared, out, continues=continues, about=about, **how)
+        outcome = execute(ui, replace(run, mounted=mounted), out, continues=continues, about=about, **how)
         how["session"] = None
         outcomes.append(outcome)
         if outcome.exit_code not in {0, 6}:

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING
 import click
 
 from pmabench.base.clock import Clock, RealClock
-from pmabench.base.errors import UsageError
 from pmabench.base.quantities import show
-from pmabench.cli.common import Group, Ui, common, fields, rewrite, with_options
+from pmabench.cli.common import Group, Problems, Ui, common, fields, rewrite, with_options
 from pmabench.cli.names import FOLDER, PATH
 from pmabench.files.shipped import find_file
 
@@ -122,19 +121,16 @@ def _moments(texts: tuple[str, ...], last: float, out: Path | None) -> list[floa
     """The moments of the still [s]; UsageError with all that is wrong."""
     from pmabench.files.quantity import parse_quantity
 
-    found, problems = [], []
+    found, problems = [], Problems()
     if texts and out is None:
         problems.append("--at chooses moments of a drawing; say with --out FOLDER where it goes")
     for text in texts:
-        try:
+        with problems.of("--at"):
             moment = parse_quantity(text, "time")
             if not 0 <= moment <= last:
                 raise ValueError(f'"{text}" is outside the simulation, 0 to {last:g} s')
             found.append(moment)
-        except ValueError as error:
-            problems.append(f"--at: {error}")
-    if problems:
-        raise UsageError("\n".join(problems))
+    problems.refuse()
     return found
 
 

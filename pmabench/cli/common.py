@@ -286,6 +286,23 @@ def read_quantity(option: str, text: str, quantity: str) -> float:
         raise UsageError(f"{option}: {error}") from error
 
 
+class Problems(list[str]):
+    """What is wrong with what was typed, a line each, to be refused together."""
+
+    @contextmanager
+    def of(self, option: str) -> Iterator[None]:
+        """A ValueError inside is wrong with this option, in as many lines as it has."""
+        try:
+            yield
+        except ValueError as error:
+            self.extend(f"{option}: {line}" for line in str(error).splitlines())
+
+    def refuse(self) -> None:
+        """Raise UsageError with every line, where there is one."""
+        if self:
+            raise UsageError("\n".join(self))
+
+
 def no_overwriting(path: Path | None) -> None:
     """UsageError for the name of a file that is there."""
     if path is not None and path.exists():
