@@ -19,7 +19,7 @@ from pmabench.files.shipped import find_file, shipped_folder
 
 if TYPE_CHECKING:
     from pmabench.bench.lab.questions import Answers, Question
-    from pmabench.cli.prepare import Prepared
+    from pmabench.kinds.compile import PlannedRun
 
 
 ANSWERS = "answers.yaml"
@@ -288,7 +288,7 @@ def copy_of(like: str) -> tuple[dict[str, str], bool]:
     return dict(_files(prepared)), _simulated(prepared)
 
 
-def _files(prepared: Prepared) -> Iterator[tuple[str, str]]:
+def _files(prepared: PlannedRun) -> Iterator[tuple[str, str]]:
     """Path in the lab folder and text of each file."""
     from pmabench.files.document import Document
 
@@ -337,11 +337,11 @@ def _own_text(path: Path, depth: int = 0) -> str:
     return "".join(lines)
 
 
-def _simulated(prepared: Prepared) -> bool:
+def _simulated(prepared: PlannedRun) -> bool:
     return all(device.driver.startswith("mock") for device in prepared.mounted.bench_file.devices.values())
 
 
-def _readme_like(prepared: Prepared, bench: str) -> str:
+def _readme_like(prepared: PlannedRun, bench: str) -> str:
     plan, simulated = prepared.plan, _simulated(prepared)
     kind = "addresses, ranges and limits are examples: put in yours"
     muscle = f": {prepared.mounted.specimen_file.type}" if simulated else ""

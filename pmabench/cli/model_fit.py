@@ -29,7 +29,7 @@ from pmabench.cli.names import FILE, PATH
 from pmabench.report.terminal import print_grid
 
 if TYPE_CHECKING:
-    from pmabench.analysis.model_fit import ModelFit
+    from pmabench.analysis.model_fit import Follows, ModelFit, Unknown
     from pmabench.cli.model_measured import Measured
     from pmabench.model.library import Model, Parameter
     from pmabench.model.library.description import Output
@@ -266,9 +266,10 @@ def _print(ui: Ui, found: ModelFit, measured: Measured, table: Path, given: Mapp
 
 def _print_values(ui: Ui, found: ModelFit, known: Mapping[str, Parameter], outputs: Mapping[str, Output]) -> None:
     """What was fitted, and what follows from it, with intervals."""
-    rows = []
-    fitted = [(u.name, u, known[u.name], "not identifiable") for u in found.unknowns]
-    for name, one, item, lacking in [*fitted, *((f"({f.name})", f, outputs[f.name], "") for f in found.follows)]:
+    rows: list[list[str]] = []
+    fitted: list[tuple[Unknown | Follows, Parameter | Output]] = [(u, known[u.name]) for u in found.unknowns]
+    for one, item in [*fitted, *((f, outputs[f.name]) for f in found.follows)]:
+        name, lacking = (f"({one.name})", "") if one in found.follows else (one.name, "not identifiable")
         scale = QUANTITIES[item.quantity].scale
         cells = [f"{one.value / scale:.6g}", lacking, ""]
         if one.standard_error is not None:

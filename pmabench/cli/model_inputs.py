@@ -56,7 +56,7 @@ def read_inputs(
     """Values given by `option` and the axes of the table; UsageError with everything that is wrong."""
     parameters, problems = {p.name: p for p in model.parameters}, Problems()
     given: dict[str, Any] = {}
-    table: dict[str, list[Any]] = {}
+    table: dict[str, Any] = {}
     for word, asked, into, read in ((option, settings, given, _value), ("--over", axes, table, _axis)):
         for key, text in asked:
             with problems.of(f"{word} {key}"):
@@ -80,7 +80,7 @@ def shown(parameter: Parameter, value: object, digits: int = 6) -> str:
 def print_settings(
     width: int, model: Model, inputs: Mapping[str, Any], given: Container[str], others: str, idle: Container[str] = ()
 ) -> None:
-    """The inputs of a model: those that were `given`, then the others that are not idle; `others` says what they are."""
+    """Inputs of a model: those that were `given`, then the others but the idle ones; `others` says what they are."""
     known = {p.name: p for p in model.parameters}
     mine = [f"{key} {shown(known[key], value)}" for key, value in inputs.items() if key in given]
     rest = [

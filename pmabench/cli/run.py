@@ -25,9 +25,9 @@ from pmabench.engine.operator import ConfirmedBeforehand, Nobody, Operator
 
 if TYPE_CHECKING:
     from pmabench.bench.compile import Mounted
-    from pmabench.cli.prepare import Prepared
     from pmabench.cli.until import Until
     from pmabench.engine.run import Continues, Outcome
+    from pmabench.kinds.compile import PlannedRun
     from pmabench.session.checks import Check
     from pmabench.store.records import RunData
 
@@ -142,7 +142,7 @@ def _reported(ui: Ui, folder: Path) -> int:
 
 def execute(
     ui: Ui,
-    prepared: Prepared,
+    prepared: PlannedRun,
     out: Path,
     *,
     operator_name: str = "",
