@@ -47,38 +47,14 @@ if TYPE_CHECKING:
 )
 @common
 def command(
-    ui: Ui,
-    channel: str,
-    bench: str,
-    specimen: str,
-    reference: str,
-    reference_uncertainty: str,
-    points: str,
-    cycles: int,
-    hold: str,
-    into: Path,
-    valid_until: datetime | None,
-    out: Path,
-    operator: str,
-    *,
-    yes: bool,
+    ui: Ui, channel: str, bench: str, specimen: str, into: Path, valid_until: datetime | None, *, yes: bool, **how: Any
 ) -> int:
     """Calibrate CHANNEL (force, pressure, displacement, angle; pressure_command: the regulator) by points."""
     from pmabench.cli.prepare import mounted_of
-    from pmabench.session.calibration import Request, check, not_shown, uncovered
+    from pmabench.session.calibration import check, not_shown, uncovered
 
-    quantity = CHANNEL_QUANTITY.get(channel, "force")
-    request = Request(
-        channel,
-        tuple(read_quantity("--points", text, quantity) for text in points.split(",")),
-        reference,
-        read_quantity("--reference-uncertainty", reference_uncertainty, quantity),
-        cycles,
-        nominal=yes,
-        hold=read_quantity("--hold", hold, "pressure"),
-    )
-    if request.reference_uncertainty < 0:
-        raise UsageError("--reference-uncertainty: an uncertainty is not below zero")
+    out, operator = how.pop("out"), how.pop("operator")
+    request = _request(channel, yes=yes, **how)
     mounted = mounted_of(bench, specimen)
     check(mounted, request)
     for warning in (*uncovered(mounted, request), *not_shown(request)):
@@ -91,6 +67,21 @@ def command(
         path = _write(mounted, request, done, into, valid_until.date() if valid_until else None)
     _show_result(ui, mounted, request, done, path)
     return done.outcome.exit_code
+
+
+def _request(
+    channel: str, reference: str, reference_uncertainty: str, points: str, cycles: int, hold: str, *, yes: bool
+) -> Request:
+    """What was typed, in SI."""
+    from pmabench.session.calibration import Request
+
+    quantity = CHANNEL_QUANTITY.get(channel, "force")
+    places = tuple(read_quantity("--points", text, quantity) for text in points.split(","))
+    unsure = read_quantity("--reference-uncertainty", reference_uncertainty, quantity)
+    held = read_quantity("--hold", hold, "pressure")
+    if unsure < 0:
+        raise UsageError("--reference-uncertainty: an uncertainty is not below zero")
+    return Request(channel, places, reference, unsure, cycles, nominal=yes, hold=held)
 
 
 def _reading(typed: Callable[[], str], quantity: str, nominal: float, far: float) -> float:

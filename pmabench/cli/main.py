@@ -15,6 +15,7 @@ from pmabench import __version__
 from pmabench.base.errors import did_you_mean
 from pmabench.base.system import keep_freed_memory
 from pmabench.cli.common import output_lost, prepare_streams
+from pmabench.cli.names import typed_lines
 
 for _threads in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
     # small matrices: threads cost time, and sums in another order change last digits
@@ -98,18 +99,6 @@ MOST = 74
 """Columns of a line of an example, so that with its indent it fits 80."""
 
 
-def _lines(example: str) -> str:
-    """An example in lines that can be typed as they are printed, broken before an option."""
-    lines = [""]
-    for part in re.split(r" (?=-)", example):
-        if lines[-1] and len(lines[-1]) + len(part) > MOST:
-            lines[-1] += " \\"
-            lines.append(f"    {part}")
-        else:
-            lines[-1] += f" {part}" if lines[-1] else part
-    return "\n".join(f"  {line}" for line in lines)
-
-
 class Commands(click.Group):
     """A group whose commands are imported when they are called."""
 
@@ -124,7 +113,8 @@ class Commands(click.Group):
         keep_freed_memory()
         module, _, name = COMMANDS[cmd_name][0].partition(":")
         command: click.Command = getattr(import_module(f"pmabench.cli.{module}"), name or "command")
-        example = _lines(f"pmabench {cmd_name} {EXAMPLES[cmd_name]}".rstrip())
+        first, *rest = re.split(r" (?=-)", f"pmabench {cmd_name} {EXAMPLES[cmd_name]}".rstrip())
+        example = "\n".join(f"  {line}" for line in typed_lines(first, rest, MOST, 4))
         command.epilog = command.epilog or f"\b\nExample:\n{example}"
         return command
 

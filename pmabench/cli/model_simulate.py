@@ -72,31 +72,18 @@ CHANGES = {
 @click.option("--set", "settings", multiple=True, metavar="NAME=VALUE", help="Change a parameter of the plant.")
 @click.option("--csv", "as_csv", is_flag=True, help="Comma-separated values in SI units on stdout.")
 @common
-def simulate(
-    ui: Ui,
-    plant: str,
-    kind: str,
-    steps: tuple[str, ...],
-    sine: str | None,
-    load: str | None,
-    drive: str | None,
-    duration: str,
-    every: str | None,
-    settings: tuple[str, ...],
-    *,
-    as_csv: bool,
-) -> None:
+def simulate(ui: Ui, plant: str, kind: str, duration: str, every: str | None, *, as_csv: bool, **course: Any) -> None:
     """Simulate PLANT (paper0, serres2009, real; daerden with --drive; or the path of a plant file) from rest.
 
     Or the folder of an analysis of kind surface. True values in time, without sensors.
     """
     problems = Problems()
-    if load and drive:
+    if course["load"] and course["drive"]:
         problems.append("--load and --drive: the free end carries a load or is driven, not both")
-    if not steps and sine is None:
+    if not course["steps"] and course["sine"] is None:
         problems.append('--step: nothing is commanded; for instance --step "300 kPa at 0.5 s"')
     times = _times(problems, duration, every)
-    asked = _asked(problems, steps, sine, load, drive, settings)
+    asked = _asked(problems, **course)
     problems.refuse()
     try:
         motion = _simulated(plant, kind, asked, times)

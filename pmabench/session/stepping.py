@@ -16,11 +16,11 @@ from pmabench.base.quantities import show
 from pmabench.bench.compile import Mounted
 from pmabench.bench.safety import SUPPLY_MARGIN
 from pmabench.bench.session import SelfTest
-from pmabench.engine.acquire import Array, Samples
+from pmabench.engine.acquire import Array
 from pmabench.engine.executor import Executor
 from pmabench.protocol.plan import Hold, Ramp, Set
 from pmabench.session.checks import NOT_CHECKED, NOT_MEASURED, Check, judged, refuse, table
-from pmabench.session.guided import Series, listen, put_on
+from pmabench.session.guided import Series, above, listen, put_on
 from pmabench.session.wiring import (
     DISPLACEMENT,
     FORCE,
@@ -230,14 +230,9 @@ class Stepping:
         """Apply the first small pressure, with any load, and test the effect of the dump valve."""
         pressure, rest = self._test.points[0], self.stages[-1].means[PRESSURE]
         most = rest + 2 * pressure + self.wiring.follows_within()
-
-        def too_high(block: Samples) -> int | None:
-            values = block.values.get(PRESSURE, np.zeros(0))
-            return int((values > most).argmax()) if (values > most).any() else None
-
         self._now = Stage({}, pressure)
         self._executor.do(Set(PHASE, PRESSURE, pressure))
-        series = listen(self._executor.acquisition, self._test.settle, too_high)
+        series = listen(self._executor.acquisition, self._test.settle, above({PRESSURE: most}))
         if (series[PRESSURE].y > most).any():
             self._executor.acquisition.pass_time(READ_BACK)
             self.ended(dict(self._executor.acquisition.latest))
