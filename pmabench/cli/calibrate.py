@@ -13,7 +13,7 @@ import click
 
 from pmabench.base.errors import UsageError
 from pmabench.base.quantities import CHANNEL_QUANTITY, show
-from pmabench.cli.common import Ui, common, read_quantity, say
+from pmabench.cli.common import Ui, common, read_quantity, recorded_options, say
 from pmabench.cli.names import BENCH, PATH, SPECIMEN
 from pmabench.cli.outcome import AtLines, outcome_json, print_outcome, progress_line
 from pmabench.engine.operator import ConfirmedBeforehand, Nobody
@@ -21,7 +21,8 @@ from pmabench.report.terminal import print_texts
 
 if TYPE_CHECKING:
     from pmabench.bench.compile import Mounted
-    from pmabench.session.calibration import Calibrated, Request
+    from pmabench.engine.operator import Operator
+    from pmabench.session.calibration import Calibrated, Read, Request
 
 
 @click.command(name="calibrate")
@@ -40,8 +41,7 @@ if TYPE_CHECKING:
 @click.option("--hold", default="0 kPa", metavar="PRESSURE", help="Pressure that lifts loads off their support.")
 @click.option("--into", default="calibrations", show_default=True, type=PATH, help="Where the file goes.")
 @click.option("--valid-until", type=click.DateTime(["%Y-%m-%d"]), help="Last day of the calibration.")
-@click.option("--out", default="runs", show_default=True, type=PATH, help="Where run folders go.")
-@click.option("--operator", default="", help="Who is at the bench; the login name if not given.")
+@recorded_options
 @click.option(
     "--yes", is_flag=True, help="Simulated benches: the nominal value counts as the reading of the reference."
 )
@@ -108,7 +108,6 @@ def _run(ui: Ui, mounted: Mounted, request: Request, out: Path, operator: str, *
 
     lines = AtLines(realtime=mounted.bench.realtime)
     quantity = CHANNEL_QUANTITY[request.channel]
-
     far = FAR * max(abs(point) for point in request.points)
 
     def typed(text: str, nominal: float, wait: Callable[[], None]) -> float:
@@ -117,17 +116,11 @@ def _run(ui: Ui, mounted: Mounted, request: Request, out: Path, operator: str, *
     def nobody(text: str, _nominal: float, _wait: Callable[[], None]) -> float:
         raise UsageError(f"a reading is needed ({text}) and there is no terminal; --yes is for simulated benches")
 
-    there = sys.stdin.isatty()
+    answers: tuple[Operator, Read] = (lines, typed) if sys.stdin.isatty() else (Nobody(), nobody)
+    if yes:
+        answers = ConfirmedBeforehand(), lambda _text, nominal, _wait: nominal
     with progress_line(ui, "calibration") as progress:
-        return calibrate(
-            mounted,
-            request,
-            ConfirmedBeforehand() if yes else lines if there else Nobody(),
-            (lambda _text, nominal, _wait: nominal) if yes else typed if there else nobody,
-            out,
-            operator_name=operator,
-            progress=progress,
-        )
+        return calibrate(mounted, request, *answers, out, operator_name=operator, progress=progress)
 
 
 def _write(mounted: Mounted, request: Request, done: Calibrated, into: Path, until: date | None) -> Path:

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pmabench.base.quantities import in_words
-from pmabench.cli.common import Ui, common, say, session_options
-from pmabench.cli.names import CAMPAIGN, FOLDER, PATH, next_lines, short
+from pmabench.cli.common import Ui, common, recorded_options, say, session_options
+from pmabench.cli.names import CAMPAIGN, FOLDER, next_lines, short
 from pmabench.cli.outcome import cut, outcome_json, show_next
 from pmabench.files.shipped import find_file
 
@@ -23,8 +23,7 @@ if TYPE_CHECKING:
 
 @click.command(name="campaign")
 @click.argument("file", type=CAMPAIGN)
-@click.option("--out", default="runs", show_default=True, type=PATH, help="Where run folders go.")
-@click.option("--operator", default="", help="Who is at the bench; the login name if not given.")
+@recorded_options
 @click.option("--yes", is_flag=True, help="Every prompt counts as answered; the record says so.")
 @click.option("--resume", is_flag=True, help="Leave out what is finished in --out, and go on with what is not.")
 @session_options

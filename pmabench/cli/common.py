@@ -21,7 +21,7 @@ import click
 
 from pmabench.base.errors import InvalidFile, PmaError, RecordError, UsageError
 from pmabench.base.text import Spelled, in_ascii, raw, spelled
-from pmabench.cli.names import BENCH, PROTOCOL, SPECIMEN
+from pmabench.cli.names import BENCH, PATH, PROTOCOL, SPECIMEN
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -259,6 +259,13 @@ def plan_options(*, required: bool = True) -> Callable[[Callable[..., Any]], Cal
 def with_options(*options: Callable[..., Any]) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """A decorator that adds these options, the last of them first in the help."""
     return lambda function: reduce(lambda made, option: option(made), options, function)
+
+
+def recorded_options(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Options of what is recorded as a run: `out`, `operator`."""
+    out = click.option("--out", default="runs", show_default=True, type=PATH, help="Where run folders go.")
+    who = click.option("--operator", default="", help="Who is at the bench; the login name if not given.")
+    return out(who(function))
 
 
 def session_options(function: Callable[..., Any]) -> Callable[..., Any]:

@@ -103,11 +103,12 @@ def _schema(kind: str) -> dict[str, Any]:
     from pmabench.kinds.compile import kind_class
     from pmabench.kinds.registry import importable, protocols
 
+    schema: dict[str, Any]
     if kind == "registers":
         schema = load(driver_class("modbus")).map_schema()
     else:
         kinds: Any = Union[tuple(map(kind_class, protocols()))]  # noqa: UP007
-        model = load(KINDS[kind]) if KINDS[kind] else Annotated[kinds, Field(discriminator="kind")]
+        model: Any = load(KINDS[kind]) if KINDS[kind] else Annotated[kinds, Field(discriminator="kind")]
         schema = TypeAdapter[Any](model).json_schema()
     if kind == "map":
         schema["properties"]["kind"]["enum"] = list(importable())

@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from pmabench.store.catalogue import Row
     from pmabench.store.records import Event
 
-Thing, Read = TypeVar("Thing"), TypeVar("Read")
+Thing = TypeVar("Thing")
+Read = TypeVar("Read")
 
 
 @click.command(name="history")

@@ -105,9 +105,8 @@ def _ask(executor: Executor, device: DeviceRecord, identity: Identity, why: str)
         f"The driver of {device.name} ({who}), {device.driver}, {why}. Trust no value and no vent before you have "
         "compared it with an instrument. This is asked once."
     )
-    about = {"phase": "driver", "device": device.name}
-    answer = executor.prompt(text, **about)
-    executor.event("answer", text=text, **about, answer=answer)
+    answer = executor.prompt(text, phase="driver", device=device.name)
+    executor.event("answer", text=text, phase="driver", device=device.name, answer=answer)
     return answer
 
 
