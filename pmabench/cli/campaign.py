@@ -134,21 +134,16 @@ def _before(out: Path, campaign: str, number: int, plan_sha256: str) -> tuple[Pa
 
     One of another plan only where `out` holds none of this one.
     """
-    other = None
     from pmabench.store.catalogue import catalogue
     from pmabench.store.folder import read_manifest
 
+    found = []
     for row in sorted(catalogue(out), key=lambda row: row.date, reverse=True):
-        if row.status == "damaged":
-            continue
-        manifest = read_manifest(out / row.folder)
+        manifest = {} if row.status == "damaged" else read_manifest(out / row.folder)
         place = manifest.get("campaign") or {}
         if (place.get("name"), place.get("number")) == (campaign, number):
-            same = manifest.get("plan_sha256") == plan_sha256
-            if same:
-                return out / row.folder, row.status, True
-            other = other or (out / row.folder, row.status, False)
-    return other
+            found.append((out / row.folder, row.status, manifest.get("plan_sha256") == plan_sha256))
+    return max(found, key=lambda one: one[2], default=None)
 
 
 @click.command(name="demo")

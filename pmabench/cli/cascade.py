@@ -85,12 +85,12 @@ def replay(ui: Ui, source: Path, out: Path | None, moments: tuple[str, ...], *, 
     if pace:
         t = np.array(found.time)
         names = ("pressure", "displacement", "force_ce")
-        P, x, F_ce = (np.array([getattr(m, name) for m in found.muscles]) for name in names)
-        force = np.array(found.force)
+        each = (np.array([getattr(m, name) for m in found.muscles]) for name in names)
+        whole = [t, *each, np.array(found.force)]
 
         def part(times: Array) -> Course:
             rows = slice(*np.searchsorted(t, (times[0], times[-1] + 1e-12)).tolist())
-            return Course(t[rows], P[:, rows], x[:, rows], F_ce[:, rows], force[rows])
+            return Course(*(values[..., rows] for values in whole))
 
         _play(ui, t, part)
     _deliver(ui, found, out, at, result_too=False, as_csv=as_csv)
@@ -112,9 +112,8 @@ def _play(ui: Ui, times: Array, step: Callable[[Array], Course]) -> tuple[Course
     if live:
         rewrite()
     show_pace(ui, float(times[-1]), elapsed)
-    t, force = (np.concatenate([getattr(block, name) for block in blocks]) for name in ("t", "force"))
-    P, x, F_ce = (np.concatenate([getattr(block, name) for block in blocks], axis=1) for name in ("P", "x", "F_ce"))
-    return Course(t, P, x, F_ce, force), elapsed
+    parts = zip(*(vars(block).values() for block in blocks), strict=True)
+    return Course(*(np.concatenate(part, axis=-1) for part in parts)), elapsed
 
 
 def _moments(texts: tuple[str, ...], last: float, out: Path | None) -> list[float]:
