@@ -261,11 +261,11 @@ def with_options(*options: Callable[..., Any]) -> Callable[[Callable[..., Any]],
     return lambda function: reduce(lambda made, option: option(made), options, function)
 
 
-def recorded_options(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Options of what is recorded as a run: `out`, `operator`."""
-    out = click.option("--out", default="runs", show_default=True, type=PATH, help="Where run folders go.")
-    who = click.option("--operator", default="", help="Who is at the bench; the login name if not given.")
-    return out(who(function))
+recorded_options = with_options(
+    click.option("--operator", default="", help="Who is at the bench; the login name if not given."),
+    click.option("--out", default="runs", show_default=True, type=PATH, help="Where run folders go."),
+)
+"""Options of what is recorded as a run: `out`, `operator`."""
 
 
 def session_options(function: Callable[..., Any]) -> Callable[..., Any]:
