@@ -378,7 +378,7 @@ class Executor:
         def log(how: str, value: float, before: float, **data: Any) -> None:
             self._command(step, step.output, how, value, before, **data)
 
-        result = run_seek(step, self._commander, self.acquisition, self.clock, log)
+        result = run_seek(step, self._commander, self.acquisition, log)
         self._value[step.output] = result.get("command", self._value.get(step.output, 0.0))
         self._found(step, result)
 
@@ -386,7 +386,7 @@ class Executor:
         def log(**steered: Any) -> None:
             self.event("steered", phase=step.phase, trial=self._trial, **steered)
 
-        result = run_control(step, self.bench, self._commander, self.acquisition, self.clock, log)
+        result = run_control(step, self.bench, self._commander, self.acquisition, log)
         self._value |= result.get("commands", {})
         self._found(step, result)
 
