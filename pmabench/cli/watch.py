@@ -72,7 +72,7 @@ def command(ui: Ui, run: Path, listen: str | None, *, plain: bool, wait: bool, w
 
 def _find(ui: Ui, place: Path, *, wait: bool) -> Path:
     """The run folder that is meant; raises InvalidFile where there is none."""
-    from pmabench.display.follow import newest_run
+    from pmabench.store.folder import newest_run
 
     noted = False
     while True:

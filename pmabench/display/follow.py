@@ -1,4 +1,4 @@
-"""Finds the newest run, reads a run folder incrementally, and keeps its newest samples.
+"""Reads a run folder incrementally, and keeps its newest samples.
 
 Reads files without interpreting the run; writes nothing. Missing, torn or half-written data are read at a later call,
 or never, without an error.
@@ -49,15 +49,6 @@ def read_json(path: Path) -> dict[str, Any]:
         if isinstance(data, dict):
             return data
     return {}
-
-
-def newest_run(place: Path) -> Path | None:
-    """The run folder in `place` that began last; None without one."""
-    begun = []
-    for path in place.glob(f"*/{files.MANIFEST}"):
-        with suppress(OSError):
-            begun.append((path.stat().st_mtime, path.parent))
-    return max(begun)[1] if begun else None
 
 
 class JournalTail:

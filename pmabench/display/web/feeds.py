@@ -21,14 +21,14 @@ import numpy as np
 from pmabench.analysis.trial import Expected
 from pmabench.base.errors import InvalidFile
 from pmabench.base.system import give_back_memory
-from pmabench.display.follow import Block, StreamTail, newest_run
+from pmabench.display.follow import Block, StreamTail
 from pmabench.display.state import RunState
 from pmabench.display.verdicts import prepare, read_expected
 from pmabench.display.web import picture
 from pmabench.display.web.series import FINE, WIDTHS, Buckets, Loops, Piece, level_for
 from pmabench.display.wording import about_run, clean, quantity
 from pmabench.store import folder as files
-from pmabench.store.folder import read_manifest, read_seal, status_of
+from pmabench.store.folder import newest_run, read_manifest, read_seal, status_of
 from pmabench.store.livestream import pa
 
 LONGEST_FRAME = 10.0
