@@ -16,10 +16,9 @@ import click
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError, UsageError, did_you_mean
 from pmabench.base.quantities import CHANNEL_QUANTITY, QUANTITIES, show
-from pmabench.cli.common import Group, Ui, common, fields, read_quantity
-from pmabench.cli.names import BENCH, HTML, PATH, SPECIMEN
-from pmabench.cli.outcome import AtLines, outcome_json, print_checks, print_outcome, progress_line, show_outcome
-from pmabench.engine.operator import ConfirmedBeforehand, Nobody, Operator
+from pmabench.cli.common import Group, Ui, common, fields, read_quantity, recorded_options
+from pmabench.cli.names import BENCH, HTML, SPECIMEN
+from pmabench.cli.outcome import at_terminal, outcome_json, print_checks, print_outcome, progress_line, show_outcome
 from pmabench.report.terminal import print_grid, print_texts
 
 if TYPE_CHECKING:
@@ -61,8 +60,7 @@ def card(ui: Ui, bench: str, specimen: str | None, output: Path) -> None:
 @click.option("--option", "options", multiple=True, metavar="NAME=VALUE", help="An option of the driver.")
 @click.option("--self-test", "test", is_flag=True, help="Try the bench under a small pressure; needs --specimen.")
 @click.option("--specimen", type=SPECIMEN, help="The specimen that is mounted; its limits hold during the self-test.")
-@click.option("--out", default="runs", show_default=True, type=PATH, help="Where run folders go.")
-@click.option("--operator", default="", help="Who is at the bench; the login name if not given.")
+@recorded_options
 @click.option("--yes", is_flag=True, help="Every prompt of the self-test counts as answered; the record says so.")
 @common
 def probe(
@@ -158,18 +156,10 @@ def _self_test(ui: Ui, bench: str, specimen: str, out: Path, operator: str, *, y
     from pmabench.store.folder import read_manifest
 
     mounted = mounted_of(bench, specimen)
-    there = sys.stdin.isatty()
-    person: Operator = AtLines(realtime=mounted.bench.realtime) if there else Nobody()
+    person = at_terminal(mounted.bench, yes=yes, there=sys.stdin.isatty())
     tables: list[Sequence[Check]] = []
     with progress_line(ui, "self-test") as progress:
-        outcome = run_self_test(
-            mounted,
-            ConfirmedBeforehand() if yes else person,
-            out,
-            operator_name=operator,
-            report=tables.append,
-            progress=progress,
-        )
+        outcome = run_self_test(mounted, person, out, operator_name=operator, report=tables.append, progress=progress)
     checks = tables[0] if tables else ()
     unproven = read_manifest(outcome.folder).get("scales_not_proven", []) if outcome.folder is not None else []
     data = {
@@ -333,8 +323,7 @@ def _print_reading(record: ChannelRecord, reading: Reading, data: Mapping[str, A
 @click.argument("value")
 @click.option("--specimen", type=SPECIMEN, required=True, help="The specimen that is mounted; its limits hold.")
 @click.option("--for", "lasting", metavar="TIME", help='Hold for so long: "10 s"; else until Ctrl-C.')
-@click.option("--out", default="runs", show_default=True, type=PATH, help="Where run folders go.")
-@click.option("--operator", default="", help="Who is at the bench; the login name if not given.")
+@recorded_options
 @click.option("--yes", is_flag=True, help="The question counts as answered; the record says so.")
 @common
 def set_(
@@ -358,7 +347,7 @@ def set_(
     wanted = read_quantity(output, value, known[output].quantity)
     if not (yes or sys.stdin.isatty()):
         raise UsageError("this moves the bench, and there is no terminal to ask at; with --yes it counts as answered")
-    asked: Operator = ConfirmedBeforehand() if yes else AtLines(realtime=mounted.bench.realtime)
+    asked = at_terminal(mounted.bench, yes=yes, there=True)
     outcome = hold_at(
         mounted, output, wanted, asked, out, _Lines(ui, paced=seconds is None), seconds=seconds, operator_name=operator
     )

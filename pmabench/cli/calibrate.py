@@ -13,7 +13,7 @@ import click
 
 from pmabench.base.errors import UsageError
 from pmabench.base.quantities import CHANNEL_QUANTITY, show
-from pmabench.cli.common import Ui, common, read_quantity, say
+from pmabench.cli.common import Ui, common, read_quantity, recorded_options, say
 from pmabench.cli.names import BENCH, PATH, SPECIMEN
 from pmabench.cli.outcome import AtLines, outcome_json, print_outcome, progress_line
 from pmabench.engine.operator import ConfirmedBeforehand, Nobody
@@ -21,7 +21,8 @@ from pmabench.report.terminal import print_texts
 
 if TYPE_CHECKING:
     from pmabench.bench.compile import Mounted
-    from pmabench.session.calibration import Calibrated, Request
+    from pmabench.engine.operator import Operator
+    from pmabench.session.calibration import Calibrated, Read, Request
 
 
 @click.command(name="calibrate")
@@ -40,45 +41,20 @@ if TYPE_CHECKING:
 @click.option("--hold", default="0 kPa", metavar="PRESSURE", help="Pressure that lifts loads off their support.")
 @click.option("--into", default="calibrations", show_default=True, type=PATH, help="Where the file goes.")
 @click.option("--valid-until", type=click.DateTime(["%Y-%m-%d"]), help="Last day of the calibration.")
-@click.option("--out", default="runs", show_default=True, type=PATH, help="Where run folders go.")
-@click.option("--operator", default="", help="Who is at the bench; the login name if not given.")
+@recorded_options
 @click.option(
     "--yes", is_flag=True, help="Simulated benches: the nominal value counts as the reading of the reference."
 )
 @common
 def command(
-    ui: Ui,
-    channel: str,
-    bench: str,
-    specimen: str,
-    reference: str,
-    reference_uncertainty: str,
-    points: str,
-    cycles: int,
-    hold: str,
-    into: Path,
-    valid_until: datetime | None,
-    out: Path,
-    operator: str,
-    *,
-    yes: bool,
+    ui: Ui, channel: str, bench: str, specimen: str, into: Path, valid_until: datetime | None, *, yes: bool, **how: Any
 ) -> int:
     """Calibrate CHANNEL (force, pressure, displacement, angle; pressure_command: the regulator) by points."""
     from pmabench.cli.prepare import mounted_of
-    from pmabench.session.calibration import Request, check, not_shown, uncovered
+    from pmabench.session.calibration import check, not_shown, uncovered
 
-    quantity = CHANNEL_QUANTITY.get(channel, "force")
-    request = Request(
-        channel,
-        tuple(read_quantity("--points", text, quantity) for text in points.split(",")),
-        reference,
-        read_quantity("--reference-uncertainty", reference_uncertainty, quantity),
-        cycles,
-        nominal=yes,
-        hold=read_quantity("--hold", hold, "pressure"),
-    )
-    if request.reference_uncertainty < 0:
-        raise UsageError("--reference-uncertainty: an uncertainty is not below zero")
+    out, operator = how.pop("out"), how.pop("operator")
+    request = _request(channel, yes=yes, **how)
     mounted = mounted_of(bench, specimen)
     check(mounted, request)
     for warning in (*uncovered(mounted, request), *not_shown(request)):
@@ -91,6 +67,21 @@ def command(
         path = _write(mounted, request, done, into, valid_until.date() if valid_until else None)
     _show_result(ui, mounted, request, done, path)
     return done.outcome.exit_code
+
+
+def _request(
+    channel: str, reference: str, reference_uncertainty: str, points: str, cycles: int, hold: str, *, yes: bool
+) -> Request:
+    """What was typed, in SI."""
+    from pmabench.session.calibration import Request
+
+    quantity = CHANNEL_QUANTITY.get(channel, "force")
+    places = tuple(read_quantity("--points", text, quantity) for text in points.split(","))
+    unsure = read_quantity("--reference-uncertainty", reference_uncertainty, quantity)
+    held = read_quantity("--hold", hold, "pressure")
+    if unsure < 0:
+        raise UsageError("--reference-uncertainty: an uncertainty is not below zero")
+    return Request(channel, places, reference, unsure, cycles, nominal=yes, hold=held)
 
 
 def _reading(typed: Callable[[], str], quantity: str, nominal: float, far: float) -> float:
@@ -117,7 +108,6 @@ def _run(ui: Ui, mounted: Mounted, request: Request, out: Path, operator: str, *
 
     lines = AtLines(realtime=mounted.bench.realtime)
     quantity = CHANNEL_QUANTITY[request.channel]
-
     far = FAR * max(abs(point) for point in request.points)
 
     def typed(text: str, nominal: float, wait: Callable[[], None]) -> float:
@@ -126,17 +116,11 @@ def _run(ui: Ui, mounted: Mounted, request: Request, out: Path, operator: str, *
     def nobody(text: str, _nominal: float, _wait: Callable[[], None]) -> float:
         raise UsageError(f"a reading is needed ({text}) and there is no terminal; --yes is for simulated benches")
 
-    there = sys.stdin.isatty()
+    answers: tuple[Operator, Read] = (lines, typed) if sys.stdin.isatty() else (Nobody(), nobody)
+    if yes:
+        answers = ConfirmedBeforehand(), lambda _text, nominal, _wait: nominal
     with progress_line(ui, "calibration") as progress:
-        return calibrate(
-            mounted,
-            request,
-            ConfirmedBeforehand() if yes else lines if there else Nobody(),
-            (lambda _text, nominal, _wait: nominal) if yes else typed if there else nobody,
-            out,
-            operator_name=operator,
-            progress=progress,
-        )
+        return calibrate(mounted, request, *answers, out, operator_name=operator, progress=progress)
 
 
 def _write(mounted: Mounted, request: Request, done: Calibrated, into: Path, until: date | None) -> Path:

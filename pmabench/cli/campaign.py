@@ -5,14 +5,15 @@ from __future__ import annotations
 import shlex
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from pmabench.base.quantities import in_words
-from pmabench.cli.common import Ui, common, say, session_options
-from pmabench.cli.names import CAMPAIGN, FOLDER, PATH, next_lines, short
+from pmabench.cli.common import Ui, common, recorded_options, say, session_options
+from pmabench.cli.names import CAMPAIGN, FOLDER, next_lines, short
 from pmabench.cli.outcome import cut, outcome_json, show_next
 from pmabench.files.shipped import find_file
 
@@ -22,8 +23,7 @@ if TYPE_CHECKING:
 
 @click.command(name="campaign")
 @click.argument("file", type=CAMPAIGN)
-@click.option("--out", default="runs", show_default=True, type=PATH, help="Where run folders go.")
-@click.option("--operator", default="", help="Who is at the bench; the login name if not given.")
+@recorded_options
 @click.option("--yes", is_flag=True, help="Every prompt counts as answered; the record says so.")
 @click.option("--resume", is_flag=True, help="Leave out what is finished in --out, and go on with what is not.")
 @session_options
@@ -83,7 +83,7 @@ def run_campaign(
 
     `how`: operator_name, yes and session of `execute`; the options of the session are for the first run alone.
     """
-    from pmabench.cli.prepare import Prepared, seeded
+    from pmabench.cli.prepare import seeded
     from pmabench.cli.run import execute
     from pmabench.cli.runs import ended_early
     from pmabench.kinds.compile import plan_campaign
@@ -110,9 +110,8 @@ def run_campaign(
             title += f", going on after {folder.name}"
             continues = continue_run(folder, run.plan, mounted, run.protocol_text)
         ui.note(title)
-        prepared = Prepared(run.plan, mounted, run.protocol_text, run.deviations, run.sources, run.slower, run.doubts)
         about = {"campaign": {"name": name, "number": number, "of": len(planned)}}
-        outcome = execute(ui, prepared, out, continues=continues, about=about, **how)
+        outcome = execute(ui, replace(run, mounted=mounted), out, continues=continues, about=about, **how)
         how["session"] = None
         outcomes.append(outcome)
         if outcome.exit_code not in {0, 6}:
@@ -135,21 +134,16 @@ def _before(out: Path, campaign: str, number: int, plan_sha256: str) -> tuple[Pa
 
     One of another plan only where `out` holds none of this one.
     """
-    other = None
     from pmabench.store.catalogue import catalogue
     from pmabench.store.folder import read_manifest
 
+    found = []
     for row in sorted(catalogue(out), key=lambda row: row.date, reverse=True):
-        if row.status == "damaged":
-            continue
-        manifest = read_manifest(out / row.folder)
+        manifest = {} if row.status == "damaged" else read_manifest(out / row.folder)
         place = manifest.get("campaign") or {}
         if (place.get("name"), place.get("number")) == (campaign, number):
-            same = manifest.get("plan_sha256") == plan_sha256
-            if same:
-                return out / row.folder, row.status, True
-            other = other or (out / row.folder, row.status, False)
-    return other
+            found.append((out / row.folder, row.status, manifest.get("plan_sha256") == plan_sha256))
+    return max(found, key=lambda one: one[2], default=None)
 
 
 @click.command(name="demo")

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING
 import click
 
 from pmabench.base.clock import Clock, RealClock
-from pmabench.base.errors import UsageError
 from pmabench.base.quantities import show
-from pmabench.cli.common import Group, Ui, common, fields, rewrite, with_options
+from pmabench.cli.common import Group, Problems, Ui, common, fields, rewrite, with_options
 from pmabench.cli.names import FOLDER, PATH
 from pmabench.files.shipped import find_file
 
@@ -86,12 +85,12 @@ def replay(ui: Ui, source: Path, out: Path | None, moments: tuple[str, ...], *, 
     if pace:
         t = np.array(found.time)
         names = ("pressure", "displacement", "force_ce")
-        P, x, F_ce = (np.array([getattr(m, name) for m in found.muscles]) for name in names)
-        force = np.array(found.force)
+        each = (np.array([getattr(m, name) for m in found.muscles]) for name in names)
+        whole = [t, *each, np.array(found.force)]
 
         def part(times: Array) -> Course:
             rows = slice(*np.searchsorted(t, (times[0], times[-1] + 1e-12)).tolist())
-            return Course(t[rows], P[:, rows], x[:, rows], F_ce[:, rows], force[rows])
+            return Course(*(values[..., rows] for values in whole))
 
         _play(ui, t, part)
     _deliver(ui, found, out, at, result_too=False, as_csv=as_csv)
@@ -113,28 +112,24 @@ def _play(ui: Ui, times: Array, step: Callable[[Array], Course]) -> tuple[Course
     if live:
         rewrite()
     show_pace(ui, float(times[-1]), elapsed)
-    t, force = (np.concatenate([getattr(block, name) for block in blocks]) for name in ("t", "force"))
-    P, x, F_ce = (np.concatenate([getattr(block, name) for block in blocks], axis=1) for name in ("P", "x", "F_ce"))
-    return Course(t, P, x, F_ce, force), elapsed
+    parts = zip(*(vars(block).values() for block in blocks), strict=True)
+    return Course(*(np.concatenate(part, axis=-1) for part in parts)), elapsed
 
 
 def _moments(texts: tuple[str, ...], last: float, out: Path | None) -> list[float]:
     """The moments of the still [s]; UsageError with all that is wrong."""
     from pmabench.files.quantity import parse_quantity
 
-    found, problems = [], []
+    found, problems = [], Problems()
     if texts and out is None:
         problems.append("--at chooses moments of a drawing; say with --out FOLDER where it goes")
     for text in texts:
-        try:
+        with problems.of("--at"):
             moment = parse_quantity(text, "time")
             if not 0 <= moment <= last:
                 raise ValueError(f'"{text}" is outside the simulation, 0 to {last:g} s')
             found.append(moment)
-        except ValueError as error:
-            problems.append(f"--at: {error}")
-    if problems:
-        raise UsageError("\n".join(problems))
+    problems.refuse()
     return found
 
 

@@ -16,8 +16,8 @@ from pmabench.bench.compile import Mounted
 from pmabench.cli.common import Ui, common, fields, labelled, no_overwriting, plan_options
 from pmabench.cli.names import FILE, PATH, next_lines, typed
 from pmabench.cli.outcome import progress_line
-from pmabench.cli.prepare import Prepared, needed, prepare, size, too_little
-from pmabench.kinds.compile import read_protocol
+from pmabench.cli.prepare import needed, prepare, size, too_little
+from pmabench.kinds.compile import PlannedRun, read_protocol
 from pmabench.protocol.plan import Plan
 from pmabench.protocol.sweep import Idle, idle_trials, without
 from pmabench.report.terminal import print_grid
@@ -197,7 +197,7 @@ def _idle_lines(plan: Plan, idle: Idle | None, written: Path | None) -> list[str
     return [count, *([f"{written} has the sweep without them"] if written is not None else [])]
 
 
-def _then(prepared: Prepared, idle: Idle | None, written: Path | None, *, refused: bool, done: bool) -> list[str]:
+def _then(prepared: PlannedRun, idle: Idle | None, written: Path | None, *, refused: bool, done: bool) -> list[str]:
     """What to type after a dry run."""
     files = {role: typed(Path(prepared.sources[role]), role) for role in ("protocol", "bench", "specimen")}
     rest = ["--bench", files["bench"], "--specimen", files["specimen"]]
@@ -210,7 +210,7 @@ def _then(prepared: Prepared, idle: Idle | None, written: Path | None, *, refuse
     return next_lines("pmabench", "run", files["protocol"] if written is None else shlex.quote(str(written)), *rest)
 
 
-def _write_without(prepared: Prepared, idle: Idle | None, path: Path) -> None:
+def _write_without(prepared: PlannedRun, idle: Idle | None, path: Path) -> None:
     from pmabench.report.writing import write_file
 
     if idle is None:

@@ -21,7 +21,7 @@ import click
 
 from pmabench.base.errors import InvalidFile, PmaError, RecordError, UsageError
 from pmabench.base.text import Spelled, in_ascii, raw, spelled
-from pmabench.cli.names import BENCH, PROTOCOL, SPECIMEN
+from pmabench.cli.names import BENCH, PATH, PROTOCOL, SPECIMEN
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -261,6 +261,13 @@ def with_options(*options: Callable[..., Any]) -> Callable[[Callable[..., Any]],
     return lambda function: reduce(lambda made, option: option(made), options, function)
 
 
+recorded_options = with_options(
+    click.option("--operator", default="", help="Who is at the bench; the login name if not given."),
+    click.option("--out", default="runs", show_default=True, type=PATH, help="Where run folders go."),
+)
+"""Options of what is recorded as a run: `out`, `operator`."""
+
+
 def session_options(function: Callable[..., Any]) -> Callable[..., Any]:
     """Options of the session before a run; passed on as one argument `session`."""
 
@@ -284,6 +291,23 @@ def read_quantity(option: str, text: str, quantity: str) -> float:
         return parse_quantity(text.strip(), quantity)
     except ValueError as error:
         raise UsageError(f"{option}: {error}") from error
+
+
+class Problems(list[str]):
+    """What is wrong with what was typed, a line each, to be refused together."""
+
+    @contextmanager
+    def of(self, option: str) -> Iterator[None]:
+        """A ValueError inside is wrong with this option, in as many lines as it has."""
+        try:
+            yield
+        except ValueError as error:
+            self.extend(f"{option}: {line}" for line in str(error).splitlines())
+
+    def refuse(self) -> None:
+        """Raise UsageError with every line, where there is one."""
+        if self:
+            raise UsageError("\n".join(self))
 
 
 def no_overwriting(path: Path | None) -> None:

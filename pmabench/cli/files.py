@@ -54,22 +54,23 @@ def _row(kind: str, path: Path, name: str, origin: str) -> dict[str, Any]:
     return {"kind": kind, "name": name, "title": title.strip("\"'"), "from": origin, "path": str(path)}
 
 
-KINDS = (
-    "protocol",
-    "bench",
-    "specimen",
-    "calibration",
-    "campaign",
-    "cascade",
-    "map",
-    "registers",
-    "plant",
-    "truth",
-)
+KINDS = {
+    "protocol": "",
+    "bench": "pmabench.bench.files.bench:BenchFile",
+    "specimen": "pmabench.bench.files.specimen:SpecimenFile",
+    "calibration": "pmabench.bench.files.specimen:CalibrationFile",
+    "campaign": "pmabench.kinds.compile:CampaignFile",
+    "cascade": "pmabench.protocol.cascade:CascadeFile",
+    "map": "pmabench.store.importers.map_file:MapFile",
+    "registers": "",
+    "plant": "pmabench.bench.files.plant:AnyPlant",
+    "truth": "pmabench.bench.truth:TruthFile",
+}
+"""Kind of file -> its model; of protocols every kind of test has one, and that of registers is its driver's."""
 
 
 @click.command(name="schema")
-@click.argument("kind", required=False, type=click.Choice(KINDS))
+@click.argument("kind", required=False, type=click.Choice(list(KINDS)))
 @click.option("--all", "write_all", is_flag=True, help="Write every schema into the folder given with --out.")
 @click.option("--out", type=FOLDER, help="Folder for --all.")
 @common
@@ -96,12 +97,20 @@ def schema_text(kind: str) -> str:
 
 def _schema(kind: str) -> dict[str, Any]:
     """The model's schema, with `include` allowed, whose files need not hold every key themselves."""
+    from pydantic import Field, TypeAdapter
+
     from pmabench.bench.driver_options import driver_class
+    from pmabench.kinds.compile import kind_class
+    from pmabench.kinds.registry import importable, protocols
 
-    schema = load(driver_class("modbus")).map_schema() if kind == "registers" else _of_models(kind)
+    schema: dict[str, Any]
+    if kind == "registers":
+        schema = load(driver_class("modbus")).map_schema()
+    else:
+        kinds: Any = Union[tuple(map(kind_class, protocols()))]  # noqa: UP007
+        model: Any = load(KINDS[kind]) if KINDS[kind] else Annotated[kinds, Field(discriminator="kind")]
+        schema = TypeAdapter[Any](model).json_schema()
     if kind == "map":
-        from pmabench.kinds.registry import importable
-
         schema["properties"]["kind"]["enum"] = list(importable())
     for part in (schema, *schema.get("$defs", {}).values()):
         if "schema" in part.get("properties", {}):
@@ -111,37 +120,3 @@ def _schema(kind: str) -> dict[str, Any]:
             if "anyOf" in part:
                 part["then"]["anyOf"] = part.pop("anyOf")
     return schema
-
-
-def _of_models(kind: str) -> dict[str, Any]:
-    from pydantic import BaseModel, Field, TypeAdapter
-
-    from pmabench.bench.files.bench import BenchFile
-    from pmabench.bench.files.plant import AnyPlant
-    from pmabench.bench.files.specimen import CalibrationFile, SpecimenFile
-    from pmabench.bench.truth import TruthFile
-    from pmabench.kinds import registry
-    from pmabench.kinds.compile import CampaignFile, kind_class
-    from pmabench.protocol.cascade import CascadeFile
-    from pmabench.store.importers.map_file import MapFile
-
-    if kind == "protocol":
-        kinds = tuple(kind_class(name) for name in registry.protocols())
-        if len(kinds) == 1:
-            return kinds[0].model_json_schema()
-        union: Any = Annotated[Union[kinds], Field(discriminator="kind")]  # noqa: UP007
-        adapter: TypeAdapter[Any] = TypeAdapter(union)
-        return adapter.json_schema()
-    if kind == "plant":
-        laws: TypeAdapter[Any] = TypeAdapter(AnyPlant)
-        return laws.json_schema()
-    models: dict[str, type[BaseModel]] = {
-        "bench": BenchFile,
-        "specimen": SpecimenFile,
-        "calibration": CalibrationFile,
-        "campaign": CampaignFile,
-        "cascade": CascadeFile,
-        "map": MapFile,
-        "truth": TruthFile,
-    }
-    return models[kind].model_json_schema()

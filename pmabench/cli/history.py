@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
@@ -19,7 +19,10 @@ if TYPE_CHECKING:
     from pmabench.analysis.verdict.life import Past, References, Series, Use
     from pmabench.store.analyses.results import Analysis, Finding
     from pmabench.store.catalogue import Row
-    from pmabench.store.records import RunData
+    from pmabench.store.records import Event
+
+Thing = TypeVar("Thing")
+Read = TypeVar("Read")
 
 
 @click.command(name="history")
@@ -34,15 +37,21 @@ def command(ui: Ui, specimen: str, folder: Path, output: Path | None) -> None:
     the analyses next to the runs (`process` makes them); simulated runs are never mixed with real ones.
     """
     from pmabench.analysis.verdict.life import chosen, findings, references_of, series_of
+    from pmabench.cli.sources import analyses_of
+    from pmabench.store.analyses.folder import read_analysis
+    from pmabench.store.reader import open_run
 
     if not folder.is_dir():
         raise invalid(folder, "there is no such folder; give the folder that holds the runs")
     no_pipes(output)
     rows, notes = _of_specimen(specimen, folder)
     life, referring, leaks = _life(ui, folder, rows)
-    analyses = list(_analyses(ui, folder, {past.run for past in life}))
+    mine = {past.run for past in life}
+    written = _readable(ui, analyses_of(folder), read_analysis, "left out")
+    analyses = [analysis for _, analysis in written if not mine.isdisjoint(analysis.runs)]
     series = series_of([*analyses, *leaks], life)
-    references = references_of(_loaded(ui, folder, referring), life)
+    loaded = _readable(ui, referring, lambda row: open_run(folder / row.folder), "its reference trials are left out")
+    references = references_of((run for _, run in loaded), life)
     remarks = [*findings(life, chosen(series), references), *notes]
     if not series_of(analyses, life):
         none = "no analysis next to these runs has a coefficient that is followed: pmabench process makes them"
@@ -104,13 +113,12 @@ def _life(ui: Ui, folder: Path, rows: Sequence[Row]) -> tuple[list[Past], list[R
 
     used: list[tuple[str, str, str, str, str, bool, int, Use]] = []
     referring, leaks = [], []
-    for row in rows:
-        try:
-            files = RunFiles(folder / row.folder)
-            events = events_of(files.journal())
-        except InvalidFile as error:
-            ui.note(f"{error}; its cycles are not counted")
-            continue
+
+    def opened(row: Row) -> tuple[RunFiles, tuple[Event, ...]]:
+        files = RunFiles(folder / row.folder)
+        return files, tuple(events_of(files.journal()))
+
+    for row, (files, events) in _readable(ui, rows, opened, "its cycles are not counted"):
         before = _cycles_before(files.manifest)
         used.append((row.id, row.date, row.kind, row.bench, row.status, row.simulated, before, use_of(events)))
         if any(event.kind == "trial-begin" and event.data.get("reference") for event in events):
@@ -129,30 +137,15 @@ def _cycles_before(manifest: Mapping[str, Any]) -> int:
     return cycles if type(cycles) is int else 0
 
 
-def _analyses(ui: Ui, folder: Path, runs: set[str]) -> Iterator[Analysis]:
-    """The analyses of these runs that lie where `process` leaves them, in the order in which they were written."""
-    from pmabench.cli.sources import analyses_of
-    from pmabench.store.analyses.folder import read_analysis
-
-    for place in analyses_of(folder):
+def _readable(
+    ui: Ui, things: Iterable[Thing], read: Callable[[Thing], Read], otherwise: str
+) -> Iterator[tuple[Thing, Read]]:
+    """Each thing with what is read of it; one that cannot be read is reported, with what follows, and left out."""
+    for thing in things:
         try:
-            analysis = read_analysis(place)
+            yield thing, read(thing)
         except InvalidFile as error:
-            ui.note(f"{error}; left out")
-            continue
-        if not runs.isdisjoint(analysis.runs):
-            yield analysis
-
-
-def _loaded(ui: Ui, folder: Path, rows: Sequence[Row]) -> Iterator[RunData]:
-    """The runs with their samples; one that cannot be read is reported and left out."""
-    from pmabench.store.reader import open_run
-
-    for row in rows:
-        try:
-            yield open_run(folder / row.folder)
-        except InvalidFile as error:
-            ui.note(f"{error}; its reference trials are left out")
+            ui.note(f"{error}; {otherwise}")
 
 
 def _json(

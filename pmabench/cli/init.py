@@ -19,7 +19,7 @@ from pmabench.files.shipped import find_file, shipped_folder
 
 if TYPE_CHECKING:
     from pmabench.bench.lab.questions import Answers, Question
-    from pmabench.cli.prepare import Prepared
+    from pmabench.kinds.compile import PlannedRun
 
 
 ANSWERS = "answers.yaml"
@@ -128,10 +128,14 @@ def _lab(answers: Answers) -> dict[str, str]:
     from pmabench.bench.lab.files import lab_files
 
     shipped = find_file("protocol", answers.text("protocol")).read_text(encoding="utf-8")
-    about = dict.fromkeys(("bench", "specimen", "protocol", "calibrations"), "")
     is_open = TO_CONFIRM.format(day=answers.asked.isoformat())
-    readme = README.format(check=CHECK, answers=OF_ANSWERS, open=is_open, **about)
-    return lab_files(answers, shipped) | {"README.md": readme}
+    return lab_files(answers, shipped) | {"README.md": _readme(answers=OF_ANSWERS, open=is_open)}
+
+
+def _readme(**about: str) -> str:
+    """The page of a lab folder, with what is said about each file."""
+    empty = dict.fromkeys(("bench", "specimen", "protocol", "calibrations", "answers", "open"), "")
+    return README.format(**empty | {"check": CHECK} | about)
 
 
 def _schemas(files: dict[str, str]) -> dict[str, str]:
@@ -143,6 +147,7 @@ def _schemas(files: dict[str, str]) -> dict[str, str]:
 
 def _write(folder: Path, files: dict[str, str]) -> None:
     """Write them and check them where they are; nothing but the answers is left where that fails."""
+    from pmabench.bench.compile import OPEN
     from pmabench.cli.prepare import prepare
 
     there = {path.name for path in folder.iterdir()} if folder.exists() else None
@@ -151,8 +156,12 @@ def _write(folder: Path, files: dict[str, str]) -> None:
             path = folder / name
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(text, encoding="utf-8")
-        protocol, bench, specimen = (str(folder / f"{role}.yaml") for role in ("protocol", "bench", "specimen"))
-        _refuse_faulty(lambda: prepare(protocol, bench, specimen))
+        try:
+            protocol, bench, specimen = (str(folder / f"{role}.yaml") for role in ROLES)
+            prepare(protocol, bench, specimen)
+        except InvalidFile as error:
+            if not all(f"({OPEN})" in problem.message for problem in error.problems):
+                raise  # else it is what is to be filled in
     except BaseException as error:
         with suppress(OSError):
             for name in {Path(name).parts[0] for name in files} - (there or set()):
@@ -162,17 +171,6 @@ def _write(folder: Path, files: dict[str, str]) -> None:
         if isinstance(error, OSError):
             raise RecordError(f"{folder}: no lab folder can be written here: {error.strerror or error}") from error
         raise
-
-
-def _refuse_faulty(prepare: Callable[[], object]) -> None:
-    """Raise what is wrong with the files, apart from what is to be filled in."""
-    from pmabench.bench.compile import OPEN
-
-    try:
-        prepare()
-    except InvalidFile as error:
-        if not all(f"({OPEN})" in problem.message for problem in error.problems):
-            raise
 
 
 def _end(folder: Path, note: str) -> list[str]:
@@ -288,7 +286,7 @@ def copy_of(like: str) -> tuple[dict[str, str], bool]:
     return dict(_files(prepared)), _simulated(prepared)
 
 
-def _files(prepared: Prepared) -> Iterator[tuple[str, str]]:
+def _files(prepared: PlannedRun) -> Iterator[tuple[str, str]]:
     """Path in the lab folder and text of each file."""
     from pmabench.files.document import Document
 
@@ -337,22 +335,20 @@ def _own_text(path: Path, depth: int = 0) -> str:
     return "".join(lines)
 
 
-def _simulated(prepared: Prepared) -> bool:
+def _simulated(prepared: PlannedRun) -> bool:
     return all(device.driver.startswith("mock") for device in prepared.mounted.bench_file.devices.values())
 
 
-def _readme_like(prepared: Prepared, bench: str) -> str:
+def _readme_like(prepared: PlannedRun, bench: str) -> str:
     plan, simulated = prepared.plan, _simulated(prepared)
     kind = "addresses, ranges and limits are examples: put in yours"
     muscle = f": {prepared.mounted.specimen_file.type}" if simulated else ""
     if simulated:
         kind = "a simulated muscle: write your devices in its place, or copy the shipped bench that is most like yours"
-    return README.format(
+    return _readme(
         bench=f"; the shipped bench `{bench}`, {kind}",
         specimen=f"{muscle}. Put in type, serial, lengths and limits of yours",
         protocol=f": {plan.name} (kind {plan.kind})",
         calibrations="; fill in what is `??`",
-        answers="",
         open="" if simulated else "`pmabench check` refuses what is still `??`. ",
-        check=CHECK,
     )

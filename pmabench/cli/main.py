@@ -15,6 +15,7 @@ from pmabench import __version__
 from pmabench.base.errors import did_you_mean
 from pmabench.base.system import keep_freed_memory
 from pmabench.cli.common import output_lost, prepare_streams
+from pmabench.cli.names import typed_lines
 
 for _threads in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
     # small matrices: threads cost time, and sums in another order change last digits
@@ -22,92 +23,62 @@ for _threads in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
 
 SECTIONS = {
     "Start": {
-        "demo": ("campaign:demo", "Characterise a simulated muscle from protocol to report."),
-        "init": ("init", "Ask what a lab has, and write its folder: bench, specimen, protocol."),
-        "check": ("check", "Check protocol, bench and specimen; show the plan; move nothing."),
-        "emulate": ("emulate", "Serve the devices of a bench with a simulated muscle behind them."),
+        "demo": ("campaign:demo", "Characterise a simulated muscle from protocol to report.", "--out demo-run"),
+        "init": ("init", "Ask what a lab has, and write its folder: bench, specimen, protocol.", "our-lab"),
+        "check": ("check", "Check protocol, bench and specimen; show the plan; move nothing.",
+                 "contraction-relaxation --bench mock --specimen mas-20-250-paper0 --simulate"),
+        "emulate": ("emulate", "Serve the devices of a bench with a simulated muscle behind them.", "wires"),
     },
     "At the bench": {
-        "monitor": ("monitor", "Every channel of a bench, live; --jog moves outputs by keys."),
-        "calibrate": ("calibrate", "Calibrate a channel or the regulator by reference points, guided."),
-        "run": ("run", "Execute a protocol on a bench and record it in a run folder."),
-        "next": ("until", "Which trials to do next for narrower intervals, as a protocol file."),
-        "continue": ("run:continue_", "How the last run ended; reset the bench, do the trials that are left."),
-        "watch": ("watch", "Watch a run while it goes on; only reads its folder."),
-        "vent": ("vent", "The safe state now; --reset clears a latch."),
-        "note": ("runs:note", "Append a note, a file or an exclusion to a recorded run."),
-        "campaign": ("campaign", "Run several protocols on one specimen, in order."),
+        "monitor": ("monitor", "Every channel of a bench, live; --jog moves outputs by keys.", "our-lab/bench.yaml"),
+        "calibrate": ("calibrate", "Calibrate a channel or the regulator by reference points, guided.",
+                 'force --bench bench.yaml --specimen specimen.yaml --reference "weights no. 12" '
+                 '--reference-uncertainty "0.1 N" --points "0 N, 58.86 N, 107.91 N"'),
+        "run": ("run", "Execute a protocol on a bench and record it in a run folder.",
+                 "contraction-relaxation --bench mock --specimen mas-20-250-paper0 --yes"),
+        "next": ("until", "Which trials to do next for narrower intervals, as a protocol file.",
+                 'runs/2026... --until "K 1 %, B_r 2 %" --time "40 min" -o next.yaml'),
+        "continue": ("run:continue_", "How the last run ended; reset the bench, do the trials that are left.", ""),
+        "watch": ("watch", "Watch a run while it goes on; only reads its folder.", ""),
+        "vent": ("vent", "The safe state now; --reset clears a latch.", "bench.yaml"),
+        "note": ("runs:note", "Append a note, a file or an exclusion to a recorded run.",
+                 'runs/2026... "room was cold"'),
+        "campaign": ("campaign", "Run several protocols on one specimen, in order.", "real-muscle --yes"),
     },
     "Results": {
-        "process": ("process", "Fit the coefficients of one or more runs, with their uncertainty."),
-        "report": ("report", "Write the characterisation report as one HTML file."),
-        "compare": ("compare", "Two analyses, methods or benches, coefficient by coefficient."),
-        "history": ("history", "One specimen over its life: coefficients, cycles, time at pressure."),
-        "tune": ("tune", "Controller settings from an ultimate gain and period."),
-        "export": ("export", "Runs or coefficients as CSV, Parquet, MATLAB, LaTeX, JSON, models."),
-        "publish": ("export:publish", "Records, coefficients and report for a repository of research data."),
+        "process": ("process", "Fit the coefficients of one or more runs, with their uncertainty.", "runs/2026..."),
+        "report": ("report", "Write the characterisation report as one HTML file.", "runs/2026... -o report.html"),
+        "compare": ("compare", "Two analyses, methods or benches, coefficient by coefficient.",
+                 "analyses/A analyses/B"),
+        "history": ("history", "One specimen over its life: coefficients, cycles, time at pressure.",
+                 "SERIAL -o history.html"),
+        "tune": ("tune", "Controller settings from an ultimate gain and period.", '--ku "7.1 bar/cm" --tu "9 s"'),
+        "export": ("export", "Runs or coefficients as CSV, Parquet, MATLAB, LaTeX, JSON, models.",
+                 "runs/2026... --format csv -o samples"),
+        "publish": ("export:publish", "Records, coefficients and report for a repository of research data.",
+                 'runs/2026... -o ours.zip --author "Doe, Jane" --licence CC-BY-4.0 --publisher Zenodo'),
     },
     "Records": {
-        "import": ("import_", "Make runs of files of other programs, by a column map."),
-        "recalibrate": ("recalibrate", "The same raw samples with other calibrations, and what changes."),
-        "runs": ("runs", "List, show and verify recorded runs."),
-        "list": ("files:list_", "Benches, protocols, specimens and other files by name."),
+        "import": ("import_", "Make runs of files of other programs, by a column map.", "old.csv --guess"),
+        "recalibrate": ("recalibrate", "The same raw samples with other calibrations, and what changes.",
+                 "runs/2026... --calibration P-0300.yaml"),
+        "runs": ("runs", "List, show and verify recorded runs.", "list"),
+        "list": ("files:list_", "Benches, protocols, specimens and other files by name.", "benches"),
     },
     "Behind it": {
-        "bench": ("bench", "A bench's card to hang at the rig; probe, read and set its devices."),
-        "drivers": ("drivers", "Drivers that are installed; try one against its emulator."),
-        "model": ("model", "Models: list, show, evaluate, simulate, fit, cascade."),
-        "schema": ("files:schema", "Print the JSON Schema of a kind of file."),
+        "bench": ("bench", "A bench's card to hang at the rig; probe, read and set its devices.",
+                 "card bench.yaml -o card.html"),
+        "drivers": ("drivers", "Drivers that are installed; try one against its emulator.", "list"),
+        "model": ("model", "Models: list, show, evaluate, simulate, fit, cascade.",
+                 'eval tondu-lopez --set "pressure=300 kPa"'),
+        "schema": ("files:schema", "Print the JSON Schema of a kind of file.", "bench"),
     },
-}
-"""Section of `--help` -> command -> its module in this package (with `:name` where not `command`) and its line."""
+}  # fmt: skip
+"""Section of `--help` -> command -> its module in this package (with `:name` where not `command`), its line there, and
+what somebody types after it, which is the end of its own `--help`."""
 COMMANDS = {name: entry for section in SECTIONS.values() for name, entry in section.items()}
-EXAMPLES: dict[str, str] = {
-    "demo": "--out demo-run",
-    "init": "our-lab",
-    "check": "contraction-relaxation --bench mock --specimen mas-20-250-paper0 --simulate",
-    "emulate": "wires",
-    "monitor": "our-lab/bench.yaml",
-    "calibrate": 'force --bench bench.yaml --specimen specimen.yaml --reference "weights no. 12"'
-    ' --reference-uncertainty "0.1 N" --points "0 N, 58.86 N, 107.91 N"',
-    "run": "contraction-relaxation --bench mock --specimen mas-20-250-paper0 --yes",
-    "next": 'runs/2026... --until "K 1 %, B_r 2 %" --time "40 min" -o next.yaml',
-    "continue": "",
-    "watch": "",
-    "vent": "bench.yaml",
-    "note": 'runs/2026... "room was cold"',
-    "campaign": "real-muscle --yes",
-    "process": "runs/2026...",
-    "report": "runs/2026... -o report.html",
-    "compare": "analyses/A analyses/B",
-    "history": "SERIAL -o history.html",
-    "tune": '--ku "7.1 bar/cm" --tu "9 s"',
-    "export": "runs/2026... --format csv -o samples",
-    "publish": 'runs/2026... -o ours.zip --author "Doe, Jane" --licence CC-BY-4.0 --publisher Zenodo',
-    "import": "old.csv --guess",
-    "recalibrate": "runs/2026... --calibration P-0300.yaml",
-    "runs": "list",
-    "list": "benches",
-    "bench": "card bench.yaml -o card.html",
-    "drivers": "list",
-    "model": 'eval tondu-lopez --set "pressure=300 kPa"',
-    "schema": "bench",
-}
-"""Command -> what somebody types after it; the end of its `--help`."""
 MOST = 74
 """Columns of a line of an example, so that with its indent it fits 80."""
-
-
-def _lines(example: str) -> str:
-    """An example in lines that can be typed as they are printed, broken before an option."""
-    lines = [""]
-    for part in re.split(r" (?=-)", example):
-        if lines[-1] and len(lines[-1]) + len(part) > MOST:
-            lines[-1] += " \\"
-            lines.append(f"    {part}")
-        else:
-            lines[-1] += f" {part}" if lines[-1] else part
-    return "\n".join(f"  {line}" for line in lines)
 
 
 class Commands(click.Group):
@@ -124,7 +95,8 @@ class Commands(click.Group):
         keep_freed_memory()
         module, _, name = COMMANDS[cmd_name][0].partition(":")
         command: click.Command = getattr(import_module(f"pmabench.cli.{module}"), name or "command")
-        example = _lines(f"pmabench {cmd_name} {EXAMPLES[cmd_name]}".rstrip())
+        first, *rest = re.split(r" (?=-)", f"pmabench {cmd_name} {COMMANDS[cmd_name][2]}".rstrip())
+        example = "\n".join(f"  {line}" for line in typed_lines(first, rest, MOST, 4))
         command.epilog = command.epilog or f"\b\nExample:\n{example}"
         return command
 
@@ -132,7 +104,7 @@ class Commands(click.Group):
         """Print the table of commands."""
         for title, commands in SECTIONS.items():
             with formatter.section(title):
-                formatter.write_dl([(name, line) for name, (_, line) in commands.items()])
+                formatter.write_dl([(name, line) for name, (_, line, _) in commands.items()])
 
     def main(self, *args: Any, **kwargs: Any) -> Any:
         """Run a command; a full disk or closed pipe behind the output ends it with a sentence."""

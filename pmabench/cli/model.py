@@ -14,7 +14,7 @@ import click
 
 from pmabench.base.errors import UsageError, did_you_mean
 from pmabench.cli.cascade import command as cascade
-from pmabench.cli.common import Group, Ui, common, fields
+from pmabench.cli.common import Group, Problems, Ui, common, fields
 from pmabench.cli.model_fit import fit
 from pmabench.cli.model_inputs import (
     cell,
@@ -25,6 +25,7 @@ from pmabench.cli.model_inputs import (
     number_of,
     pairs,
     print_csv,
+    print_settings,
     print_table,
     read_inputs,
     show_columns,
@@ -186,7 +187,8 @@ def eval_model(
             print_csv(table_columns)
             return
         if not ui.quiet:
-            _print_inputs(ui.console().width, model, given, inputs)
+            print_settings(ui.console().width, model, inputs, given, "at their reference values")
+            click.echo()
         if columns:
             print_table(ui, table_columns, len(columns))
         else:
@@ -240,15 +242,6 @@ def _sentence(parameter: Parameter | None, refusal: Any) -> str:
         return f"{refusal.name} = {shown(parameter, refusal.value)}: {refusal.reason}"
     reason = f": {refusal.reason}" if refusal.reason else ""
     return f"{refusal.name} = {shown(parameter, refusal.value)} is outside its domain, {_domain(parameter)}{reason}"
-
-
-def _print_inputs(width: int, model: Model, given: dict[str, Any], inputs: dict[str, Any]) -> None:
-    parameters = {p.name: p for p in model.parameters}
-    for own, word in ((True, "given:"), (False, "at their reference values:")):
-        settings = [f"{key} {shown(parameters[key], value)}" for key, value in inputs.items() if (key in given) == own]
-        if settings:
-            click.echo(fill(f"{word} {', '.join(settings)}", width, subsequent_indent="  ", break_on_hyphens=False))
-    click.echo()
 
 
 def _print_outputs(ui: Ui, model: Model, outputs: dict[str, list[float | None]]) -> None:
@@ -321,10 +314,8 @@ def _inputs(model: Model, table: Table, given: Mapping[str, Any]) -> tuple[dict[
     from pmabench.cli.model_measured import columns_of
     from pmabench.files.table import numbers
 
-    found, unused = columns_of(model, table)
-    twice = [name for name in found if name in given]
-    if twice:
-        raise UsageError(f"--set {twice[0]}: {table.path} has a column of it; give one or the other")
+    found, outputs, unused = columns_of(model, table, given)
+    unused += [column.head.text for column, _ in outputs.values()]
     missing = [p.name for p in model.parameters if p.name not in found and p.name not in given]
     if missing:
         raise UsageError(f"{table.path} has no column of {', '.join(missing)}; add it, or give it with --set")
@@ -343,7 +334,7 @@ def _groups(model: Model, unsure: Sequence[tuple[str, str]]) -> Groups:
     """What `--uncertainty` says; UsageError with everything that is wrong."""
     known = {p.name: p for p in model.parameters if not p.choices}
     groups: Groups = []
-    problems: list[str] = []
+    problems = Problems()
     for text, value in unsure:
         names = tuple(part.strip() for part in text.split(","))
         for name in names:
@@ -351,18 +342,14 @@ def _groups(model: Model, unsure: Sequence[tuple[str, str]]) -> Groups:
                 problems.append(f'--uncertainty {name}: {model.name} has no input "{name}"{did_you_mean(name, known)}')
             elif any(name in others for others, _ in groups) or names.count(name) > 1:
                 problems.append(f"--uncertainty {name}: given twice")
-        try:
+        with problems.of(f"--uncertainty {text}"):
             half = number_of(value, known[names[0]].quantity) if names[0] in known else 1.0
-        except ValueError as error:
-            problems.append(f"--uncertainty {text}: {error}")
-            continue
-        if not half > 0:
-            problems.append(f"--uncertainty {text}: must be above zero")
-        if len({known[name].quantity for name in names if name in known}) > 1:
-            problems.append(f"--uncertainty {text}: one gauge does not measure different quantities")
-        groups.append((names, half))
-    if problems:
-        raise UsageError("\n".join(dict.fromkeys(problems)))
+            groups.append((names, half))
+            if not half > 0:
+                problems.append(f"--uncertainty {text}: must be above zero")
+            if len({known[name].quantity for name in names if name in known}) > 1:
+                problems.append(f"--uncertainty {text}: one gauge does not measure different quantities")
+    Problems(dict.fromkeys(problems)).refuse()
     return groups
 
 

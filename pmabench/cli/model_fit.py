@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from math import floor, log10
 from pathlib import Path
 from textwrap import fill
@@ -14,13 +14,22 @@ import click
 
 from pmabench.base.errors import UsageError, did_you_mean
 from pmabench.base.quantities import QUANTITIES
-from pmabench.cli.common import Ui, common, fields
-from pmabench.cli.model_inputs import display_unit, named_model, number_of, pairs, read_inputs, shown, si_unit
+from pmabench.cli.common import Problems, Ui, common, fields
+from pmabench.cli.model_inputs import (
+    display_unit,
+    named_model,
+    number_of,
+    pairs,
+    print_settings,
+    read_inputs,
+    shown,
+    si_unit,
+)
 from pmabench.cli.names import FILE, PATH
 from pmabench.report.terminal import print_grid
 
 if TYPE_CHECKING:
-    from pmabench.analysis.model_fit import ModelFit
+    from pmabench.analysis.model_fit import Follows, ModelFit, Unknown
     from pmabench.cli.model_measured import Measured
     from pmabench.model.library import Model, Parameter
     from pmabench.model.library.description import Output
@@ -73,7 +82,7 @@ def fit(
     model = named_model(name)
     given, _ = read_inputs(model, settings, [])
     begin, _ = read_inputs(model, starts, [], option="--start")
-    measured = read_measured(model, table, ranges=_ranges(model, within), given=list(given), output=output)
+    measured = read_measured(model, table, ranges=_ranges(model, within), given=given, output=output)
     found = _fit(model, measured, given, begin, free)
     if plot is not None:
         from pmabench.report.fit_figure import write_fit
@@ -99,21 +108,18 @@ def _ranges(model: Model, within: list[tuple[str, str]]) -> dict[str, tuple[floa
     """Ends of the inputs or outputs [SI] between which rows count."""
     quantities = {o.name: o.quantity for o in model.outputs}
     quantities |= {p.name: p.quantity for p in model.parameters if not p.choices}
-    found = {}
-    problems = []
+    found: dict[str, tuple[float, float]] = {}
+    problems = Problems()
     for name, text in within:
-        first, dots, last = text.partition("..")
-        try:
+        with problems.of(f"--within {name}"):
+            first, dots, last = text.partition("..")
             if name not in quantities:
                 raise ValueError(f'{model.name} has no input or output "{name}"{did_you_mean(name, quantities)}')
             if not dots:
                 raise ValueError(f'"{text}" is no range; write "FIRST..LAST" with units')
-            low, high = (number_of(part.strip(), quantities[name]) for part in (first, last))
-            found[name] = (min(low, high), max(low, high))
-        except ValueError as error:
-            problems.append(f"--within {name}: {error}")
-    if problems:
-        raise UsageError("\n".join(problems))
+            low, high = sorted(number_of(part.strip(), quantities[name]) for part in (first, last))
+            found[name] = low, high
+    problems.refuse()
     return found
 
 
@@ -163,7 +169,7 @@ def _unknown(
             raise UsageError(f"nothing to fit: name inputs with --free, of {others}")
     else:
         unknown = list(dict.fromkeys(name.strip() for name in free.split(",") if name.strip()))
-        problems = []
+        problems = Problems([] if unknown else ["--free names nothing"])
         for name in unknown:
             if name in measured.columns:
                 problems.append(f"--free {name}: the table has a column of it")
@@ -171,8 +177,7 @@ def _unknown(
                 problems.append(f"--free {name}: it is given with --set; one or the other")
             elif name not in able:
                 problems.append(f"--free {name}: {model.name} has no such input{did_you_mean(name, able)}")
-        if problems or not unknown:
-            raise UsageError("\n".join(problems) or "--free names nothing")
+        problems.refuse()
     wrong = [name for name in begin if name not in unknown]
     if wrong:
         raise UsageError(f"--start {wrong[0]}: it is not fitted{did_you_mean(wrong[0], unknown)}")
@@ -247,15 +252,8 @@ def _print(ui: Ui, found: ModelFit, measured: Measured, table: Path, given: Mapp
     residual = f"\nresidual rms {found.residual_rms / scale:.3g}, largest {largest:.3g} {unit}".rstrip()
     freedom = f"{found.freedom} degrees of freedom; {found.agreeing} of {found.starts} starts ended here"
     click.echo(f"{residual}; {freedom}")
-    for own, word in ((True, "given:"), (False, "not fitted, at reference values or ends of the data:")):
-        named = [
-            f"{key} {shown(known[key], value)}"
-            for key, value in found.fixed.items()
-            if (key in given) == own and (own or key not in found.idle)
-        ]
-        if named:
-            text = f"{word} {', '.join(named)}"
-            click.echo(fill(text, console.width, subsequent_indent="  ", break_on_hyphens=False))
+    others = "not fitted, at reference values or ends of the data"
+    print_settings(console.width, found.model, found.fixed, given, others, found.idle)
     if 1 < len(found.unknowns) <= MOST_CORRELATED:
         click.echo()
         names = [u.name for u in found.unknowns]
@@ -268,30 +266,25 @@ def _print(ui: Ui, found: ModelFit, measured: Measured, table: Path, given: Mapp
 
 def _print_values(ui: Ui, found: ModelFit, known: Mapping[str, Parameter], outputs: Mapping[str, Output]) -> None:
     """What was fitted, and what follows from it, with intervals."""
-    rows = []
-    for u in found.unknowns:
-        scale = QUANTITIES[known[u.name].quantity].scale
-        error = None if u.standard_error is None else u.standard_error / scale
-        ends = None if u.ci95 is None else tuple(None if end is None else end / scale for end in u.ci95)
-        unit = display_unit(known[u.name].quantity)
-        rows.append([u.name, known[u.name].symbol, *_interval_cells(u.value / scale, error, ends), unit])
-    for f in found.follows:
-        scale = QUANTITIES[outputs[f.name].quantity].scale
-        interval = (f"{f.value / scale:.6g}", "", "")
-        if f.standard_error is not None and f.ci95 is not None:
-            interval = _interval_cells(f.value / scale, f.standard_error / scale, tuple(end / scale for end in f.ci95))
-        rows.append([f"({f.name})", outputs[f.name].symbol, *interval, display_unit(outputs[f.name].quantity)])
+    rows: list[list[str]] = []
+    fitted: list[tuple[Unknown | Follows, Parameter | Output]] = [(u, known[u.name]) for u in found.unknowns]
+    for one, item in [*fitted, *((f, outputs[f.name]) for f in found.follows)]:
+        name, lacking = (f"({one.name})", "") if one in found.follows else (one.name, "not identifiable")
+        scale = QUANTITIES[item.quantity].scale
+        cells = [f"{one.value / scale:.6g}", lacking, ""]
+        if one.standard_error is not None:
+            ends = [None if end is None else end / scale for end in one.ci95 or ()]
+            cells = _interval_cells(one.value / scale, one.standard_error / scale, ends)
+        rows.append([name, item.symbol, *cells, display_unit(item.quantity)])
     heads = ["fitted", "symbol", "value", "standard error", "95 % interval", "unit"]
     print_grid(ui.console(), heads, rows, ("fitted", "symbol", "unit"))
     if found.follows:
         click.echo("in brackets: follows from the fitted")
 
 
-def _interval_cells(value: float, error: float | None, ends: tuple[float | None, ...] | None) -> tuple[str, str, str]:
+def _interval_cells(value: float, error: float, ends: Sequence[float | None]) -> list[str]:
     """Value, standard error and interval with the digits that the interval leaves."""
-    if error is None:
-        return f"{value:.6g}", "not identifiable", ""
     smallest = error if error > 1e-9 * abs(value) else 1e-9 * (abs(value) or 1.0)
     decimals = min(12, max(0, 1 - floor(log10(smallest))))
-    spelled = ["open" if end is None else f"{end:.{decimals}f}" for end in ends or ()]
-    return f"{value:.{decimals}f}", f"{error:.2g}", " to ".join(spelled)
+    spelled = ["open" if end is None else f"{end:.{decimals}f}" for end in ends]
+    return [f"{value:.{decimals}f}", f"{error:.2g}", " to ".join(spelled)]

@@ -8,16 +8,17 @@ from __future__ import annotations
 import csv
 import math
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from itertools import product
 from pathlib import Path
+from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from pmabench.base.errors import UsageError, did_you_mean
 from pmabench.base.quantities import QUANTITIES, show
-from pmabench.cli.common import Ui
+from pmabench.cli.common import Problems, Ui
 from pmabench.report.terminal import print_grid
 
 if TYPE_CHECKING:
@@ -53,35 +54,42 @@ def read_inputs(
     model: Model, settings: list[tuple[str, str]], axes: list[tuple[str, str]], option: str = "--set"
 ) -> tuple[dict[str, Any], dict[str, list[Any]]]:
     """Values given by `option` and the axes of the table; UsageError with everything that is wrong."""
-    parameters = {p.name: p for p in model.parameters}
+    parameters, problems = {p.name: p for p in model.parameters}, Problems()
     given: dict[str, Any] = {}
-    table: dict[str, list[Any]] = {}
-    problems: list[str] = []
-    for word, asked in ((option, settings), ("--over", axes)):
+    table: dict[str, Any] = {}
+    for word, asked, into, read in ((option, settings, given, _value), ("--over", axes, table, _axis)):
         for key, text in asked:
-            if key not in parameters:
-                problems.append(f'{word} {key}: {model.name} has no input "{key}"{did_you_mean(key, parameters)}')
-            elif key in given or key in table:
-                problems.append(f"{word} {key}: given twice")
-            else:
-                try:
-                    if word == option:
-                        given[key] = _value(parameters[key], text)
-                    else:
-                        table[key] = _axis(parameters[key], text)
-                except ValueError as error:
-                    problems.append(f"{word} {key}: {error}")
+            with problems.of(f"{word} {key}"):
+                if key not in parameters:
+                    raise ValueError(f'{model.name} has no input "{key}"{did_you_mean(key, parameters)}')
+                if key in given or key in table:
+                    raise ValueError("given twice")
+                into[key] = read(parameters[key], text)
     rows = math.prod(len(axis) for axis in table.values())
     if rows > MOST_ROWS:
         problems.append(f"--over: {rows} rows; at most {MOST_ROWS} are made")
-    if problems:
-        raise UsageError("\n".join(problems))
+    problems.refuse()
     return given, table
 
 
 def shown(parameter: Parameter, value: object, digits: int = 6) -> str:
     """An input in the unit that people read."""
     return value if isinstance(value, str) else show(float(value), parameter.quantity, digits)  # type: ignore[arg-type]
+
+
+def print_settings(
+    width: int, model: Model, inputs: Mapping[str, Any], given: Container[str], others: str, idle: Container[str] = ()
+) -> None:
+    """Inputs of a model: those that were `given`, then the others but the idle ones; `others` says what they are."""
+    known = {p.name: p for p in model.parameters}
+    mine = [f"{key} {shown(known[key], value)}" for key, value in inputs.items() if key in given]
+    rest = [
+        f"{key} {shown(known[key], value)}" for key, value in inputs.items() if key not in given and key not in idle
+    ]
+    for word, settings in (("given", mine), (others, rest)):
+        if settings:
+            text = f"{word}: {', '.join(settings)}"
+            click.echo(fill(text, width, subsequent_indent="  ", break_on_hyphens=False))
 
 
 def _value(parameter: Parameter, text: str) -> float | str:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
+from itertools import compress
 from math import inf
 from pathlib import Path
-from typing import Any
 
-from pmabench.base.errors import InvalidFile, UsageError, did_you_mean
+from pmabench.base.errors import InvalidFile, Problem, UsageError, did_you_mean
 from pmabench.base.quantities import QUANTITIES, show
 from pmabench.files.table import Column, Table, Wanted, meaning, numbers, read_table, split_head
 from pmabench.model.curve import Array
@@ -60,7 +60,7 @@ def read_measured(
     *,
     output: str | None,
     ranges: Mapping[str, tuple[float, float]],
-    given: Sequence[str],
+    given: Collection[str],
 ) -> Measured:
     """The inputs and the one output that the table has; rows count between the `ranges` of inputs and output [SI].
 
@@ -68,12 +68,7 @@ def read_measured(
     """
     notes: list[str] = []
     table = read_table(path / "coefficients.csv" if path.is_dir() else path)
-    inputs, outputs, unused, problems = _columns(model, table)
-    if problems:
-        raise InvalidFile(problems)
-    twice = [name for name in inputs if name in given]
-    if twice:
-        raise UsageError(f"--set {twice[0]}: {table.path} has a column of it; give one or the other")
+    inputs, outputs, unused = columns_of(model, table, given)
     chosen = _chosen_output(model, table, outputs, output)
     if not inputs:
         expected = ", ".join(_example(p.name, p.quantity) for p in model.parameters if not p.choices)
@@ -84,31 +79,29 @@ def read_measured(
         notes.append("not used: column " + ", ".join(f'"{head}"' for head in idle))
     if path.is_dir():
         table, inputs, outputs = _one_method(model, table, chosen, notes)
-    names = list(inputs)
-    quantities = {p.name: p.quantity for p in model.parameters} | {o.name: o.quantity for o in model.outputs}
-    read = [*inputs.items(), (chosen, outputs[chosen])]
-    chosen_columns = [(column, quantities[name], unit) for name, (column, unit) in read]
-    for item, quantity, unit in chosen_columns:
+    known = {p.name: p for p in model.parameters}
+    quantities = {name: p.quantity for name, p in known.items()} | {o.name: o.quantity for o in model.outputs}
+    names = [*inputs, chosen]
+    read = [(column, quantities[name], unit) for name, (column, unit) in (inputs | {chosen: outputs[chosen]}).items()]
+    for item, quantity, unit in read:
         if quantity == "ratio" and unit in (None, ""):
             notes.append(f'column "{item.head.text}" has no unit: taken as a fraction, not in %')
-    limits = [ranges.get(name, (-inf, inf)) for name, _ in read]
+    limits = [ranges.get(name, (-inf, inf)) for name in names]
     ends = [(low - 1e-9 * abs(low), high + 1e-9 * abs(high)) for low, high in limits]  # room for rounding of units
-    known = {p.name: p for p in model.parameters}
-    for name in ranges:
-        if name not in (*names, chosen):
-            raise UsageError(f"--within {name}: {table.path} has no column of it")
+    if lacking := [name for name in ranges if name not in names]:
+        raise UsageError(f"--within {lacking[0]}: {table.path} has no column of it")
     found, kept = numbers(
         table,
-        chosen_columns,
-        lambda place, value: _outside(known[names[place]], value) if place < len(names) else "",
+        read,
+        lambda place, value: _outside(known[names[place]], value) if place < len(inputs) else "",
         lambda place, value: ends[place][0] <= value <= ends[place][1],
     )
-    count = len(table.columns[0].cells)
     if not kept:
-        raise UsageError(f"{table.path}: no row has a value in each of {', '.join([*names, chosen])} that counts")
-    columns = dict(zip(names, found[:-1], strict=True))
-    halves = _halves(table, chosen_columns[-1], kept, notes)
-    return Measured(chosen, columns, found[-1], halves, count - len(kept), notes, table.source)
+        raise UsageError(f"{table.path}: no row has a value in each of {', '.join(names)} that counts")
+    *columns, values = found
+    left_out = len(table.columns[0].cells) - len(kept)
+    halves = _halves(table, read[-1], kept, notes)
+    return Measured(chosen, dict(zip(inputs, columns, strict=True)), values, halves, left_out, notes, table.source)
 
 
 def _halves(
@@ -131,14 +124,6 @@ def _halves(
 Found = dict[str, tuple["Column", "str | None"]]
 
 
-def columns_of(model: Model, table: Table) -> tuple[Found, list[str]]:
-    """Columns of inputs by name with their units, and the heads of all other columns. Raises InvalidFile."""
-    inputs, outputs, unused, problems = _columns(model, table)
-    if problems:
-        raise InvalidFile(problems)
-    return inputs, [*unused, *(column.head.text for column, _ in outputs.values())]
-
-
 def _chosen_output(model: Model, table: Table, outputs: Found, wanted: str | None) -> str:
     """The output to read: the wanted one, else the only one of the table. Raises UsageError."""
     if wanted is not None and wanted not in outputs:
@@ -154,12 +139,15 @@ def _chosen_output(model: Model, table: Table, outputs: Found, wanted: str | Non
     return wanted or next(iter(outputs))
 
 
-def _columns(model: Model, table: Table) -> tuple[Found, Found, list[str], list[Any]]:
-    """Columns of inputs and outputs by name with their units, heads that are neither, and problems."""
+def columns_of(model: Model, table: Table, given: Collection[str] = ()) -> tuple[Found, Found, list[str]]:
+    """Columns of inputs and outputs by name with their units, and heads that are neither.
+
+    Raises InvalidFile, and UsageError for an input that is `given`, too.
+    """
     inputs: Found = {}
     outputs: Found = {}
     unused: list[str] = []
-    problems: list[Any] = []
+    problems: list[Problem] = []
     wanted = _wanted(model)
     names = [item.names[0] for item in wanted]
     own = {p.name for p in model.parameters}
@@ -178,7 +166,11 @@ def _columns(model: Model, table: Table) -> tuple[Found, Found, list[str], list[
         if name in into:
             problems.append(table.problem(column.head, f"a second column of {name}"))
         into[name] = (column, unit)
-    return inputs, outputs, unused, problems
+    if problems:
+        raise InvalidFile(problems)
+    if twice := [name for name in inputs if name in given]:
+        raise UsageError(f"--set {twice[0]}: {table.path} has a column of it; give one or the other")
+    return inputs, outputs, unused
 
 
 def _wanted(model: Model) -> list[Wanted]:
@@ -197,19 +189,16 @@ def _wanted(model: Model) -> list[Wanted]:
 
 def _one_method(model: Model, table: Table, chosen: str, notes: list[str]) -> tuple[Table, Found, Found]:
     """An analysis' table has a row per method: the first that gives the output."""
-    inputs, outputs, _, _ = _columns(model, table)
-    method_column = next((column for column in table.columns if column.name == "method"), None)
-    if method_column is not None:
-        has = zip(method_column.cells, outputs[chosen][0].cells, strict=True)
-        given = list(dict.fromkeys(method.text for method, cell in has if cell.text))
-        if len(given) > 1:
-            others = ", ".join(given[1:])
-            notes.append(f'method "{given[0]}"; there are also: {others}; for these give a CSV with their rows')
-            rows = [row for row, cell in enumerate(method_column.cells) if cell.text == given[0]]
-            columns = (replace(column, cells=tuple(column.cells[row] for row in rows)) for column in table.columns)
-            table = replace(table, columns=tuple(columns))
-            inputs, outputs, _, _ = _columns(model, table)
-    return table, inputs, outputs
+    methods = next((column.cells for column in table.columns if column.name == "method"), ())
+    has = zip(methods, columns_of(model, table)[1][chosen][0].cells, strict=False)
+    given = list(dict.fromkeys(method.text for method, cell in has if cell.text))
+    if len(given) > 1:
+        others = ", ".join(given[1:])
+        notes.append(f'method "{given[0]}"; there are also: {others}; for these give a CSV with their rows')
+        mine = [cell.text == given[0] for cell in methods]
+        columns = (replace(column, cells=tuple(compress(column.cells, mine))) for column in table.columns)
+        table = replace(table, columns=tuple(columns))
+    return table, *columns_of(model, table)[:2]
 
 
 def _outside(p: Parameter, value: float) -> str:

@@ -12,7 +12,7 @@ import click
 
 from pmabench.base.errors import UsageError, did_you_mean
 from pmabench.base.quantities import show
-from pmabench.cli.common import Ui, common
+from pmabench.cli.common import Problems, Ui, common
 from pmabench.cli.model_inputs import column_of, described_by, show_columns
 
 if TYPE_CHECKING:
@@ -72,33 +72,19 @@ CHANGES = {
 @click.option("--set", "settings", multiple=True, metavar="NAME=VALUE", help="Change a parameter of the plant.")
 @click.option("--csv", "as_csv", is_flag=True, help="Comma-separated values in SI units on stdout.")
 @common
-def simulate(
-    ui: Ui,
-    plant: str,
-    kind: str,
-    steps: tuple[str, ...],
-    sine: str | None,
-    load: str | None,
-    drive: str | None,
-    duration: str,
-    every: str | None,
-    settings: tuple[str, ...],
-    *,
-    as_csv: bool,
-) -> None:
+def simulate(ui: Ui, plant: str, kind: str, duration: str, every: str | None, *, as_csv: bool, **course: Any) -> None:
     """Simulate PLANT (paper0, serres2009, real; daerden with --drive; or the path of a plant file) from rest.
 
     Or the folder of an analysis of kind surface. True values in time, without sensors.
     """
-    problems = []
-    if load and drive:
+    problems = Problems()
+    if course["load"] and course["drive"]:
         problems.append("--load and --drive: the free end carries a load or is driven, not both")
-    if not steps and sine is None:
+    if not course["steps"] and course["sine"] is None:
         problems.append('--step: nothing is commanded; for instance --step "300 kPa at 0.5 s"')
     times = _times(problems, duration, every)
-    asked = _asked(problems, steps, sine, load, drive, settings)
-    if problems:
-        raise UsageError("\n".join(problems))
+    asked = _asked(problems, **course)
+    problems.refuse()
     try:
         motion = _simulated(plant, kind, asked, times)
     except ValueError as error:
@@ -128,7 +114,7 @@ class Asked:
             raise ValueError(f"{show(peak, 'pressure')} is outside 0 kPa to {show(highest, 'pressure')}, {why}")
 
 
-def _times(problems: list[str], duration: str, every: str | None) -> list[float]:
+def _times(problems: Problems, duration: str, every: str | None) -> list[float]:
     """The moments that are printed [s]; what is wrong with --for and --every is added to `problems`."""
     seconds = _parsed(problems, "--for", within, duration, "time", 1e-3, LONGEST)
     spacing = seconds and seconds / 25
@@ -143,7 +129,7 @@ def _times(problems: list[str], duration: str, every: str | None) -> list[float]
 
 
 def _asked(
-    problems: list[str], steps: tuple[str, ...], sine: str | None, load: str | None, drive: str | None,
+    problems: Problems, steps: tuple[str, ...], sine: str | None, load: str | None, drive: str | None,
     settings: tuple[str, ...],
 ) -> Asked:  # fmt: skip
     """What was typed; what is wrong with it is added to `problems`."""
@@ -237,13 +223,10 @@ def within(text: str, quantity: str, least: float, most: float) -> float:
     return value
 
 
-def _parsed(problems: list[str], option: str, parse: Any, *arguments: Any) -> Any:
+def _parsed(problems: Problems, option: str, parse: Any, *arguments: Any) -> Any:
     """What `parse` makes of the arguments, or None and a line in `problems`."""
-    try:
+    with problems.of(option):
         return parse(*arguments)
-    except ValueError as error:
-        problems.extend(f"{option}: {line}" for line in str(error).splitlines())
-        return None
 
 
 STEP = re.compile(r"(?P<level>.+?)\s+at\s+(?P<at>.+?)(?:\s+by\s+(?P<rate>.+))?")

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 import click
 
 from pmabench.base.errors import Interrupted, UsageError
-from pmabench.cli.common import Ui, common, fields
-from pmabench.cli.names import BENCH, PATH, SPECIMEN
+from pmabench.cli.common import Ui, common, fields, recorded_options
+from pmabench.cli.names import BENCH, SPECIMEN
 from pmabench.cli.outcome import show_outcome
 
 if TYPE_CHECKING:
@@ -35,8 +35,7 @@ NOTICES = 6
 @click.argument("bench", type=BENCH)
 @click.option("--jog", is_flag=True, help="Move outputs by keys; needs --specimen, and is recorded.")
 @click.option("--specimen", type=SPECIMEN, help="The specimen that is mounted; its limits hold with --jog.")
-@click.option("--out", default="runs", show_default=True, type=PATH, help="Where run folders go.")
-@click.option("--operator", default="", help="Who is at the bench; the login name if not given.")
+@recorded_options
 @click.option("--plain", is_flag=True, help="A line a second; so it is where the output is no terminal.")
 @click.option("--seconds", type=click.FloatRange(min=0), help="End by itself after so long.")
 @common

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -142,11 +142,16 @@ BENCH, SPECIMEN, PROTOCOL, CAMPAIGN = (Named(kind) for kind in ("bench", "specim
 
 def next_lines(*words: str, indent: int = 8) -> list[str]:
     """`next    COMMAND` in lines of at most 80 columns where its words allow it; it can be typed as it is printed."""
-    lines = [f"{'next':<{indent}}{words[0]}"]
-    for word in words[1:]:
-        if len(lines[-1]) + len(word) + 3 > WIDTH:
+    return typed_lines(f"{'next':<{indent}}{words[0]}", words[1:], WIDTH - 3, 10)
+
+
+def typed_lines(first: str, rest: Iterable[str], most: int, indent: int) -> list[str]:
+    """A command in lines that can be typed as they are printed, each broken where the next part would pass `most`."""
+    lines = [first]
+    for part in rest:
+        if len(lines[-1]) + len(part) > most:
             lines[-1] += " \\"
-            lines.append(f"          {word}")
+            lines.append(" " * indent + part)
         else:
-            lines[-1] += f" {word}"
+            lines[-1] += f" {part}"
     return lines

@@ -20,7 +20,7 @@ from pmabench.base.errors import Interrupted
 from pmabench.base.quantities import highest_pressure
 from pmabench.cli.common import Ui, fields, read_or_not, rewrite, say
 from pmabench.cli.names import WIDTH, short, typed
-from pmabench.engine.operator import ConfirmedBeforehand, Nobody
+from pmabench.engine.operator import ConfirmedBeforehand, Nobody, Operator
 from pmabench.guard.safe import UNANSWERED
 from pmabench.guard.station import Station
 from pmabench.report.terminal import print_texts
@@ -288,6 +288,13 @@ class AtLines:
                 wait()
         line, _, self._typed = self._typed.partition(b"\n")
         return line.decode("utf-8", "replace").strip()
+
+
+def at_terminal(bench: CompiledBench, *, yes: bool, there: bool) -> Operator:
+    """Who answers without a display, where somebody is `there`."""
+    if yes or not there:
+        return ConfirmedBeforehand() if yes else Nobody()
+    return AtLines(realtime=bench.realtime)
 
 
 def _descriptor() -> int:

@@ -4,41 +4,17 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from pmabench.base.errors import InvalidFile, Problem
 from pmabench.bench.compile import Mounted, mount, mount_alone
-from pmabench.files.document import document_text
 from pmabench.files.shipped import find_file
-from pmabench.kinds.compile import compile_protocol, read_protocol, slower
+from pmabench.kinds.compile import PlannedRun, planned_run, read_protocol
 from pmabench.protocol.plan import Plan, Step
 
 
-@dataclass(frozen=True)
-class Prepared:
-    """A plan, the bench and specimen that it is for, and the protocol's text."""
-
-    plan: Plan
-    mounted: Mounted
-    protocol_text: str
-    deviations: tuple[str, ...] = ()
-    """What was changed in the protocol for this run, in words."""
-    sources: dict[str, Any] = field(default_factory=dict)
-    """Which files it was made from, as absolute paths, and what was `set`: for going on later."""
-    slower: tuple[str, ...] = ()
-    """Devices that cannot sample at the plan's rate, a line each."""
-    doubts: tuple[str, ...] = ()
-    """What the files say that may be a mistake, a line each."""
-
-    def warnings(self) -> list[str]:
-        """What people must know before anything moves, a line each."""
-        hazards = [f"HAZARD: {hazard}" for hazard in self.plan.hazards]
-        return [*hazards, *(f"this bench has {lack}" for lack in self.mounted.lacks), *self.slower, *self.doubts]
-
-
-def prepare(protocol: str, bench: str, specimen: str, settings: Sequence[tuple[str, str]] = ()) -> Prepared:
+def prepare(protocol: str, bench: str, specimen: str, settings: Sequence[tuple[str, str]] = ()) -> PlannedRun:
     """Read and compile everything; raises `InvalidFile` with every problem of every file."""
     problems: list[Problem] = []
     paths: dict[str, Path] = {}
@@ -60,13 +36,7 @@ def prepare(protocol: str, bench: str, specimen: str, settings: Sequence[tuple[s
         problems.extend(error.problems)
     if mounted is None or read is None or problems:
         raise InvalidFile(problems)
-    document, model = read
-    plan = compile_protocol(document, model, mounted)
-    text = document_text(document)
-    sources: dict[str, Any] = {kind: str(path.resolve()) for kind, path in paths.items()}
-    sources["set"] = [list(pair) for pair in settings]
-    deviations = tuple(f"{name} set to {value}" for name, value in settings)
-    return Prepared(plan, mounted, text, deviations, sources, slower(plan, document, mounted), mounted.doubts)
+    return planned_run(paths, *read, mounted, settings)
 
 
 def mounted_of(bench: str, specimen: str | None = None) -> Mounted:

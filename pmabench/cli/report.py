@@ -70,9 +70,7 @@ def command(
     from pmabench.store.since import as_sealed
 
     no_pipes(output, pdf, xlsx)
-    published: list[Published] = []
-    if overlays:
-        published = read_overlays(overlays)
+    published = read_overlays(overlays)
     known = Sources.of(ui, sources, fresh=fresh)
     folders, given, used = known.folders, known.given, known.used
     key = ""

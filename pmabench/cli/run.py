@@ -20,14 +20,14 @@ from pmabench.base.errors import RecordError, UsageError, invalid
 from pmabench.base.system import ENGINE, ordinary, real_time, user_name
 from pmabench.cli.common import Ui, common, plan_options, say, session_options
 from pmabench.cli.names import PATH, WIDTH, RunFolder, short, typed
-from pmabench.cli.outcome import AtDisplay, AtLines, Confirmed, print_checks, progress_line, show_end, show_next
-from pmabench.engine.operator import ConfirmedBeforehand, Nobody, Operator
+from pmabench.cli.outcome import AtDisplay, Confirmed, at_terminal, print_checks, progress_line, show_end, show_next
+from pmabench.engine.operator import Operator
 
 if TYPE_CHECKING:
     from pmabench.bench.compile import Mounted
-    from pmabench.cli.prepare import Prepared
     from pmabench.cli.until import Until
     from pmabench.engine.run import Continues, Outcome
+    from pmabench.kinds.compile import PlannedRun
     from pmabench.session.checks import Check
     from pmabench.store.records import RunData
 
@@ -142,7 +142,7 @@ def _reported(ui: Ui, folder: Path) -> int:
 
 def execute(
     ui: Ui,
-    prepared: Prepared,
+    prepared: PlannedRun,
     out: Path,
     *,
     operator_name: str = "",
@@ -221,14 +221,15 @@ def _operated(ui: Ui, mounted: Mounted, title: str, *, yes: bool) -> Iterator[tu
     """Who answers, and how it is shown; a display is a process that reads what the run writes, never waited for."""
     if not mounted.bench.realtime or ui.quiet or ui.json:
         with progress_line(ui, title) as progress:
-            yield _operator(mounted, yes=yes), {"progress": progress}
+            operator = at_terminal(mounted.bench, yes=yes, there=_somebody(mounted))
+            yield operator, {"progress": progress}
         return
     from pmabench.display.child import Display
 
     display = Display(color=ui.color)
     try:
-        operator = Confirmed(display) if yes else AtDisplay(display, answers=_somebody(mounted))
-        yield operator, {"begun": display.start}
+        person = Confirmed(display) if yes else AtDisplay(display, answers=_somebody(mounted))
+        yield person, {"begun": display.start}
     finally:
         before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # all is vented and recorded: one more changes nothing
         display.close()
@@ -242,13 +243,6 @@ def _somebody(mounted: Mounted) -> bool:
     from pmabench.base.terminal import in_front
 
     return in_front(0) and in_front(2)
-
-
-def _operator(mounted: Mounted, *, yes: bool) -> Operator:
-    """Who answers without a display."""
-    if yes or not _somebody(mounted):
-        return ConfirmedBeforehand() if yes else Nobody()
-    return AtLines(realtime=mounted.bench.realtime)
 
 
 LOOKED = "Have you looked at the rig, and may pressure be put on it again?"

@@ -90,12 +90,11 @@ def _resume(run: Path, left: int) -> str:
 @common
 def show_run(ui: Ui, run: Path) -> None:
     """One RUN in full: what, when, by whom, how it ended, its trials and channels."""
-    from pmabench.store.folder import plain
     from pmabench.store.reader import open_run
 
     data = open_run(run)
     after = going_on(run, data)
-    ui.result(plain(_summary(data, after)), lambda: _print_run(data, after))
+    ui.result(_summary(data, after), lambda: _print_run(data, after))
 
 
 def _summary(data: RunData, after: Mapping[str, str]) -> dict[str, Any]:

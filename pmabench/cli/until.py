@@ -35,7 +35,7 @@ from pmabench.store.folder import MANIFEST
 
 if TYPE_CHECKING:
     from pmabench.analysis.next_trial import Goal
-    from pmabench.cli.prepare import Prepared
+    from pmabench.kinds.compile import PlannedRun
     from pmabench.store.records import RunData
 
 
@@ -58,7 +58,7 @@ class Asked:
     seconds: float | None
 
 
-def asked_of(prepared: Prepared, goal: str, length: str) -> Asked:
+def asked_of(prepared: PlannedRun, goal: str, length: str) -> Asked:
     """The chooser of a prepared plan; UsageError where its kind of test has none, or a goal is none."""
     from pmabench.kinds import registry
 

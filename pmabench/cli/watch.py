@@ -72,13 +72,14 @@ def command(ui: Ui, run: Path, listen: str | None, *, plain: bool, wait: bool, w
 
 def _find(ui: Ui, place: Path, *, wait: bool) -> Path:
     """The run folder that is meant; raises InvalidFile where there is none."""
+    from pmabench.store.folder import newest_run
+
     noted = False
     while True:
         if (place / "manifest.json").exists():
             return place
-        runs = [(path.stat().st_mtime, path.parent) for path in place.glob("*/manifest.json")]
-        if runs:
-            return max(runs)[1]
+        if (newest := newest_run(place)) is not None:
+            return newest
         if not wait:
             why = "holds no run" if place.is_dir() else "there is no such run"
             raise invalid(place, f"{why}; `pmabench runs list` shows those that are there, --wait waits for one")

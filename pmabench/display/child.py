@@ -20,7 +20,7 @@ Starts the display process, talks to it, and is never held up by it. Standard li
     display.close()
 
 Ctrl-C reaches the run itself, as without a display. Text printed to the terminal meanwhile damages the screen until
-its next line changes: use `log`.
+its next line changes.
 """
 
 from __future__ import annotations
@@ -170,10 +170,6 @@ class Display:
         """Remove the question from the display."""
         self._asked, self._sent = None, False
         self._push()
-
-    def log(self, text: str) -> bool:
-        """A line for the log; False if it was dropped because the display does not read."""
-        return self._link.send({"log": text}) if self._link is not None else False
 
     def live(self, values: Mapping[str, float]) -> None:
         """Values [SI] by channel while nothing is recorded; dropped if older ones still wait."""

@@ -270,8 +270,6 @@ class Console:
                     self.state.log(
                         f"asked: {self._asked.get('text')} (no terminal here: it cannot be answered)", "doubt"
                     )
-            if "log" in message:
-                self.state.log(str(message["log"]))
             if isinstance(message.get("live"), dict):
                 self.state.live(message["live"])
             if "end" in message:

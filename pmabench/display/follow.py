@@ -1,4 +1,4 @@
-"""Reads a run folder incrementally, keeps its newest samples, and finds the run that comes after it.
+"""Reads a run folder incrementally, and keeps its newest samples.
 
 Reads files without interpreting the run; writes nothing. Missing, torn or half-written data are read at a later call,
 or never, without an error.

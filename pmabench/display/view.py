@@ -17,16 +17,13 @@ from pmabench.store.records import Array
 
 LEVELS = {"info": "", "doubt": WARN, "fault": BAD}
 SIGNS = {"info": " ", "doubt": "!", "fault": "!!"}
-CURVES = (("pressure", "cyan"), ("displacement", "green"), ("force", "magenta"))
+CURVES = (("pressure", "P", "cyan"), ("displacement", "x", "green"), ("force", "F", "magenta"))
+"""Channels that are drawn, with their symbols and colours."""
 OF_SEVERAL = (
-    *((f"pressure_{number}", "cyan") for number in (1, 2, 3)), ("angle", "green"), ("torque", "magenta"),
-    ("acceleration_x", "green"), ("acceleration_y", "magenta"),
+    *((f"pressure_{number}", f"P{number}", "cyan") for number in (1, 2, 3)), ("angle", "θ", "green"),
+    ("torque", "τ", "magenta"), ("acceleration_x", "a_x", "green"), ("acceleration_y", "a_y", "magenta"),
 )  # fmt: skip
-"""Curves if none of the above exist."""
-SYMBOLS = {
-    "pressure": "P", "displacement": "x", "force": "F", "pressure_1": "P1", "pressure_2": "P2", "pressure_3": "P3",
-    "angle": "θ", "torque": "τ", "acceleration_x": "a_x", "acceleration_y": "a_y",
-}  # fmt: skip
+"""The same if none of the above exist."""
 LEAST_RANGE = {"pressure": 2e3, "length": 0.2e-3, "force": 2.0, "angle": 2e-3, "torque": 0.1, "acceleration": 0.2}
 """Smallest range [SI] of a curve's axis."""
 NARROWEST = 60
@@ -243,20 +240,20 @@ def _notice(t: float | None, text: str, level: str, width: int) -> list[Text]:
 
 def _curves(state: RunState, width: int, height: int) -> list[Text]:
     """Pressure, displacement and force next to each other: title with range, curve, and time axis."""
-    known = CURVES if any(name in state.channels for name, _colour in CURVES) else OF_SEVERAL
-    shown = [(state.channels[name], colour) for name, colour in known if name in state.channels]
+    known = CURVES if any(name in state.channels for name, *_ in CURVES) else OF_SEVERAL
+    shown = [(state.channels[name], symbol, colour) for name, symbol, colour in known if name in state.channels]
     if not shown:
         return []
     axis_line = height >= 7
     each = (width - 2 * (len(shown) - 1)) // len(shown)
     span = state.span()
     columns = []
-    for channel, colour in shown:
+    for channel, symbol, colour in shown:
         t, y = state.samples.trace(channel.name)
         low, high = _range(channel, y[(t >= span[0]) & (t <= span[1])])
         ends = _ends(channel, low, high)
         title = f"{clean(channel.name)} {ends}"
-        title = title if len(title) <= each else f"{SYMBOLS[channel.name]} {ends}"
+        title = title if len(title) <= each else f"{symbol} {ends}"
         body = curve(t, y, span, (low, high), (each, height - 1 - axis_line))
         part = [Text(title[:each].ljust(each), FAINT), *(Text(line, colour) for line in body)]
         if axis_line:

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from math import ceil, floor, nan
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -105,15 +105,8 @@ def _ask(executor: Executor, device: DeviceRecord, identity: Identity, why: str)
         f"The driver of {device.name} ({who}), {device.driver}, {why}. Trust no value and no vent before you have "
         "compared it with an instrument. This is asked once."
     )
-    acquisition, clock = executor.acquisition, executor.clock
-
-    def wait() -> None:
-        acquisition.pass_time(0.1)
-
-    about: dict[str, Any] = {"text": text, "phase": "driver", "device": device.name}
-    executor.recorder.event("prompt", clock.now(), **about)
-    answer = executor.operator.ask(text, acquisition.latest, wait)
-    executor.recorder.event("answer", clock.now(), **about, answer=answer)
+    answer = executor.prompt(text, phase="driver", device=device.name)
+    executor.event("answer", text=text, phase="driver", device=device.name, answer=answer)
     return answer
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from math import isfinite
 from typing import Any
 
@@ -166,13 +167,13 @@ class Executor:
         self._record_live()
         for what, text in self.operator.poll(self.acquisition.latest):
             if what == "note":
-                self._event("note", text=text, trial=self._trial)
+                self.event("note", text=text, trial=self._trial)
             elif text == "p":
                 self._pause = not self._pause
-                self._event("key", key="pause", on=self._pause)
+                self.event("key", key="pause", on=self._pause)
             elif text == "r":
                 self._repeat = not self._repeat and bool(self.attempts)
-                self._event("key", key="repeat", on=self._repeat, trial=self._trial)
+                self.event("key", key="repeat", on=self._repeat, trial=self._trial)
             elif text == "v":
                 raise Interrupted("the operator (key v)", 130)
 
@@ -186,18 +187,18 @@ class Executor:
         self._live = now
         values = {name: value for name, value in self.acquisition.latest.items() if isfinite(value)}
         if values:
-            self._event("live", values=values)
+            self.event("live", values=values)
 
     def _stay_at_low_pressure(self) -> None:
         """Keep the pressure at its safe value between trials until the operator resumes."""
         before = {o.name: self._value[o.name] for o in self.bench.pressures if o.name in self._value}
-        self._event("pause", pressure=max(before.values(), default=None))
+        self.event("pause", pressure=max(before.values(), default=None))
         for output in self.bench.pressures:
             if output.name in before:
                 self._set(Set("pause", output.name, output.safe))
         while self._pause:
             self.acquisition.pass_time(0.1)
-        self._event("goes-on")
+        self.event("goes-on")
         for name, value in before.items():
             self._set(Set("pause", name, value))
 
@@ -210,11 +211,22 @@ class Executor:
                 raise LimitTripped(f"held for {LONGEST_HOLD:g} s, and still outside: {outside}")
             self.acquisition.pass_time(0.05)
 
-    def _event(self, kind: str, **data: Any) -> None:
+    def event(self, kind: str, **data: Any) -> None:
+        """Record an event now."""
         self.recorder.event(kind, self.clock.now(), **data)
 
+    def prompt(self, text: str, check: Callable[[], None] = lambda: None, **about: Any) -> str:
+        """Ask the operator, with the question in the record; `check` may raise while bench time passes. The answer."""
+
+        def wait() -> None:
+            self.acquisition.pass_time(0.1)
+            check()
+
+        self.event("prompt", text=text, **about)
+        return self.operator.ask(text, self.acquisition.latest, wait)
+
     def _command(self, step: Step, output: str, how: str, value: float, before: float, **data: Any) -> None:
-        self._event(
+        self.event(
             "command", output=output, type=how, value=value, before=before, phase=step.phase, trial=self._trial, **data
         )
         self._value[output] = value
@@ -227,7 +239,7 @@ class Executor:
         begun = self.clock.now()
         self._commander.set(step.output, step.value)
         if (took := self.clock.now() - begun) > AT_ONCE:
-            self._event("acknowledged", output=step.output, took=took, trial=self._trial)
+            self.event("acknowledged", output=step.output, took=took, trial=self._trial)
 
     def _ramp(self, step: Ramp) -> None:
         self._wait_while_held()
@@ -248,7 +260,7 @@ class Executor:
         if verdict is None:
             return
         numbers = {"expected": verdict.expected, "measured": verdict.measured, "tolerance": verdict.tolerance}
-        self._event("load-check", **numbers, ok=verdict.ok, text=str(verdict), trial=self._trial)
+        self.event("load-check", **numbers, ok=verdict.ok, text=str(verdict), trial=self._trial)
         if verdict.gross or (not verdict.ok and self.bench.load_action == "stop"):
             raise LoadImplausible(str(verdict))
 
@@ -258,7 +270,7 @@ class Executor:
             if step.trial is not None:
                 trial = self._trial_of(step.trial)
                 self.attempts[trial.index] = self.attempts.get(trial.index, 0) + 1
-                self._event(
+                self.event(
                     "trial-begin",
                     trial=trial.index,
                     point=dict(trial.point),
@@ -285,7 +297,7 @@ class Executor:
     def end_trial(self, status: str) -> None:
         """Close the current trial when a run ends early."""
         if self._trial is not None:
-            self._event("trial-end", trial=self._trial, status=status)
+            self.event("trial-end", trial=self._trial, status=status)
             self._trial = None
 
     def _wait_until(self, step: WaitUntil) -> None:
@@ -318,7 +330,7 @@ class Executor:
             self._at_limit(step, step.at_limit, f"{waited}; it is at {show(value, quantity)}")
 
     def _at_limit(self, step: Step, at_limit: str, reason: str) -> None:
-        self._event("limit-reached", phase=step.phase, trial=self._trial, reason=reason, then=at_limit)
+        self.event("limit-reached", phase=step.phase, trial=self._trial, reason=reason, then=at_limit)
         if at_limit == "flag":
             return
         if self._trial is None:
@@ -336,17 +348,12 @@ class Executor:
         else:
             below, what = self._hands_at_pressure(), "is above this bench's"
         self._refuse_hands_above(below, what)
-        self._event("prompt", text=step.text, phase=step.phase, demands=step.demands)
-
-        def wait() -> None:
-            self.acquisition.pass_time(0.1)
-            self._refuse_hands_above(below, "rose above")
-
-        answer = self.operator.ask(step.text, self.acquisition.latest, wait)
-        self._event("answer", text=step.text, answer=answer, pressure=highest_pressure(self.acquisition.latest))
+        refuse = partial(self._refuse_hands_above, below, "rose above")
+        answer = self.prompt(step.text, refuse, phase=step.phase, demands=step.demands)
+        self.event("answer", text=step.text, answer=answer, pressure=highest_pressure(self.acquisition.latest))
         if step.load is not None:
             self.guard.place(Load(*step.load))
-            self._event("load", force=step.load[0], mass=step.load[1])
+            self.event("load", force=step.load[0], mass=step.load[1])
             self._load.put_on(step.load[0], step.text, self.acquisition.latest)
             self.unloaded = step.load[0] == 0
         self.acquisition.pass_time(HANDS_OUT)
@@ -371,19 +378,19 @@ class Executor:
         def log(how: str, value: float, before: float, **data: Any) -> None:
             self._command(step, step.output, how, value, before, **data)
 
-        result = run_seek(step, self._commander, self.acquisition, self.clock, log)
+        result = run_seek(step, self._commander, self.acquisition, log)
         self._value[step.output] = result.get("command", self._value.get(step.output, 0.0))
         self._found(step, result)
 
     def _control(self, step: Control) -> None:
         def log(**steered: Any) -> None:
-            self._event("steered", phase=step.phase, trial=self._trial, **steered)
+            self.event("steered", phase=step.phase, trial=self._trial, **steered)
 
-        result = run_control(step, self.bench, self._commander, self.acquisition, self.clock, log)
+        result = run_control(step, self.bench, self._commander, self.acquisition, log)
         self._value |= result.get("commands", {})
         self._found(step, result)
 
     def _found(self, step: Seek | Control, result: Mapping[str, Any]) -> None:
-        self._event("found", phase=step.phase, law=step.law, trial=self._trial, result=result)
+        self.event("found", phase=step.phase, law=step.law, trial=self._trial, result=result)
         if not result.get("found", False):
             self._at_limit(step, step.at_limit, f"{step.phase}: {result.get('reason', 'nothing found')}")

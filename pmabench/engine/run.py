@@ -299,7 +299,7 @@ class _Run:
             identities = {**self.guard.identities, **self.own.identities}
             refuse_slow(self.bench, identities, executor.plan.rate, acquisition.rates)
             agree(executor, identities)
-            executor.recorder.event("armed", self.clock.now(), bench=self.bench.name)
+            executor.event("armed", bench=self.bench.name)
             self.guard.arm(str(self.writer.folder.resolve()) if self.writer is not None else "")
             acquisition.listen_anew()
             acquisition.pass_time(0.1)
@@ -371,7 +371,7 @@ class _Run:
                     is_, wanted = (show(value, "pressure", 4) for value in (now, asked))
                     why = f"{output.name} is {is_} where the stop commands {wanted}: not followed, so vented now"
                     about = {"limit": f"controlled stop {output.name}", "action": "vent", "value": now}
-                    self.executor.recorder.event("warning", self.clock.now(), reason=why, **about)
+                    self.executor.event("warning", reason=why, **about)
                     return
 
     def _measure(self) -> Mapping[str, float]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Protocol
 
-from pmabench.base.clock import Clock
 from pmabench.base.errors import LimitRefused
 from pmabench.bench.interface import CompiledBench
 from pmabench.engine.acquire import Acquisition, Samples
@@ -38,23 +37,19 @@ class SampledLaw(Protocol):
         ...
 
 
-def run_seek(
-    step: Seek, guard: Commander, acquisition: Acquisition, clock: Clock, log: Callable[..., None]
-) -> dict[str, Any]:
+def run_seek(step: Seek, guard: Commander, acquisition: Acquisition, log: Callable[..., None]) -> dict[str, Any]:
     """Run the step's law to its end; its result has `found` True or False and, when False, `reason`."""
     made = law_of(step.law)
     if not isinstance(made, type):
-        found: dict[str, Any] = made(Moves(step, guard, acquisition, clock, log), **step.parameters)
+        found: dict[str, Any] = made(Moves(step, guard, acquisition, log), **step.parameters)
         return found
     law: SampledLaw = made(**step.parameters)
     run = _rarely if getattr(law, "rarely", False) and acquisition.goes_back else _always
-    in_time = run(step, law, guard, acquisition, clock, clock.now() + step.limit)
+    in_time = run(step, law, guard, acquisition, acquisition.clock.now() + step.limit)
     return {"found": in_time, **({} if in_time else {"reason": _late(step)}), **law.result()}
 
 
-def _always(
-    step: Seek, law: SampledLaw, guard: Commander, acquisition: Acquisition, clock: Clock, deadline: float
-) -> bool:
+def _always(step: Seek, law: SampledLaw, guard: Commander, acquisition: Acquisition, deadline: float) -> bool:
     """Run the law sample by sample; unchanged commands are not sent again. Whether it ended before the deadline."""
     sent: float | None = None
     t, values = acquisition.sample()
@@ -65,15 +60,13 @@ def _always(
         else:
             guard.set(step.output, command)
             sent = command
-        if clock.now() >= deadline:
+        if acquisition.clock.now() >= deadline:
             return False
         t, values = acquisition.sample()
     return True
 
 
-def _rarely(
-    step: Seek, law: SampledLaw, guard: Commander, acquisition: Acquisition, clock: Clock, deadline: float
-) -> bool:
+def _rarely(step: Seek, law: SampledLaw, guard: Commander, acquisition: Acquisition, deadline: float) -> bool:
     """As `_always`, but block by block: needs a clock that can go back to the sample where the command changes."""
     sent: float | None = None
     command = step.low
@@ -90,12 +83,12 @@ def _rarely(
         return None
 
     while not law.done:
-        if acquisition.until(min(clock.now() + AT_ONCE / acquisition.rate, deadline), changes) is None:
+        if acquisition.until(min(acquisition.clock.now() + AT_ONCE / acquisition.rate, deadline), changes) is None:
             guard.wait()
         else:
             guard.set(step.output, command)
             sent = command
-        if clock.now() >= deadline:
+        if acquisition.clock.now() >= deadline:
             return False
     acquisition.sample()
     return True
@@ -108,11 +101,11 @@ def _late(step: Seek | Control) -> str:
 class Moves:
     """Actions of a scripted law: command its output inside the step's range, switch valves, and wait."""
 
-    def __init__(self, step: Seek, guard: Commander, acquisition: Acquisition, clock: Clock, log: Callable[..., None]):
+    def __init__(self, step: Seek, guard: Commander, acquisition: Acquisition, log: Callable[..., None]) -> None:
         self.step = step
         self.acquisition = acquisition
-        self.clock = clock
-        self.deadline = clock.now() + step.limit
+        self.clock = acquisition.clock
+        self.deadline = self.clock.now() + step.limit
         self._guard = guard
         self._log = log
         self.commanded: float | None = None
@@ -195,16 +188,15 @@ class _Steered:
 
 
 def run_control(
-    step: Control, bench: CompiledBench, guard: Commander, acquisition: Acquisition, clock: Clock,
-    log: Callable[..., None],
-) -> dict[str, Any]:  # fmt: skip
+    step: Control, bench: CompiledBench, guard: Commander, acquisition: Acquisition, log: Callable[..., None]
+) -> dict[str, Any]:
     """Run the step's law to its end; its result has `found` True or False and, when False, `reason`.
 
     `log` receives aims and pulses about once a second, also when a fault ends the loop. Raises LimitTripped where the
     bench's watch finds a fault, LimitRefused for a command outside its range.
     """
     law: LawOfSeveral = law_of(step.law)(**step.parameters)
-    watch = _watch_of(bench)
+    watch, clock = _watch_of(bench), acquisition.clock
     deadline, period = clock.now() + step.limit, float(getattr(law, "called_every", 0.0))
     steered = _Steered(log, clock.now())
     try:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -111,19 +111,40 @@ class CampaignFile(Strict):
 
 @dataclass(frozen=True)
 class PlannedRun:
-    """A run of a campaign, checked."""
+    """A run to come, checked: a plan with the bench and specimen that it is for."""
 
     plan: Plan
     mounted: Mounted
     protocol_text: str
     deviations: tuple[str, ...]
-    """Changes that the campaign makes to the protocol, in words."""
+    """Changes made to the protocol for this run, in words."""
     sources: dict[str, Any] = field(default_factory=dict)
-    """Absolute paths of protocol, bench and specimen, and the values of `set`."""
+    """Absolute paths of protocol, bench and specimen, and the values of `set`, to go on later."""
     slower: tuple[str, ...] = ()
     """Devices that cannot sample at the plan's rate, a line each."""
     doubts: tuple[str, ...] = ()
     """Possible mistakes in the files, a line each."""
+
+    def warnings(self) -> list[str]:
+        """What people must know before anything moves, a line each."""
+        hazards = [f"HAZARD: {hazard}" for hazard in self.plan.hazards]
+        return [*hazards, *(f"this bench has {lack}" for lack in self.mounted.lacks), *self.slower, *self.doubts]
+
+
+def planned_run(
+    paths: Mapping[str, Path],
+    document: Document,
+    protocol: Any,
+    mounted: Mounted,
+    settings: Sequence[tuple[str, str]],
+) -> PlannedRun:
+    """A protocol with changed settings on a bench with a specimen, compiled; `paths` of the three files by kind."""
+    plan = compile_protocol(document, protocol, mounted)
+    sources: dict[str, Any] = {kind: str(path.resolve()) for kind, path in paths.items()}
+    sources["set"] = [list(pair) for pair in settings]
+    deviations = tuple(f"{name} set to {value}" for name, value in settings)
+    late = slower(plan, document, mounted)
+    return PlannedRun(plan, mounted, document_text(document), deviations, sources, late, mounted.doubts)
 
 
 def plan_campaign(path: Path) -> tuple[str, list[PlannedRun]]:
@@ -163,14 +184,7 @@ def _plan(
     paths = {"bench": _find(folder, "bench", bench), "specimen": _find(folder, "specimen", campaign.specimen)}
     if bench not in mounted:
         mounted[bench] = mount(paths["bench"], paths["specimen"])
-    plan = compile_protocol(protocol_document, protocol, mounted[bench])
-    text = document_text(protocol_document)
-    files = {"protocol": protocol_path} | paths
-    sources: dict[str, Any] = {kind: str(path.resolve()) for kind, path in files.items()}
-    sources["set"] = [list(pair) for pair in settings]
-    deviations = tuple(f"{name} set to {value}" for name, value in settings)
-    late = slower(plan, protocol_document, mounted[bench])
-    return PlannedRun(plan, mounted[bench], text, deviations, sources, late, mounted[bench].doubts)
+    return planned_run({"protocol": protocol_path} | paths, protocol_document, protocol, mounted[bench], settings)
 
 
 def _find(folder: Path, kind: str, name: str) -> Path:

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from html import escape
+from itertools import cycle
 from math import degrees
 from pathlib import Path
 from typing import Any
@@ -314,11 +315,8 @@ def frames(result: Result, scene: Scene, rows: Sequence[int], curves: Drawn) -> 
             for name in ("begin", "length", "radius", "meet", "body")
         }
         numbers["tint"] = [round(opacity(shape.tint), 3) for shape in mine]
-        numbers |= {
-            "fitting": round(mine[0].fitting, 3),
-            "gap": round(FITTING * link.length * scene.scale, 3),
-        }
-        muscles.append(numbers)
+        gap = round(FITTING * link.length * scene.scale, 3)
+        muscles.append(numbers | {"fitting": round(mine[0].fitting, 3), "gap": gap})
     return {
         "muscles": muscles,
         "t": [round(result.time[row], 6) for row in rows],
@@ -334,6 +332,7 @@ def frames(result: Result, scene: Scene, rows: Sequence[int], curves: Drawn) -> 
 
 MOST_NAMED = 6
 """Muscles that get a colour and a name of their own."""
+SHADES = ("#0b5fa5", "#6aa9dc")
 POINTS, JUMPS = 300, 200
 UPPER, LOWER, HALF = 150.0, 95.0, 185.0
 """Heights of the charts over time, and of those of half width [pt]."""
@@ -364,23 +363,34 @@ class Drawn:
 
 def figures(result: Result) -> list[Drawn]:
     """All figures of a result."""
+    rows = _rows(result)
+    names = ("displacement", "force", "force_ce", "force_ce_sum")
+    x, force, F_ce, total = (np.array(getattr(result, name))[rows] for name in names)
+    x = 1e3 * x
+    mean = 1e-3 * np.mean([link.pressure for link in result.muscles], axis=0)[rows]
+    top = int(np.argmax(x))
+    up = Series("until it is shortest", mean[: top + 1], x[: top + 1], BLUE)
+    held = Series("F_ce of the chain", x, F_ce, FAINT), Series("force if it is held", x, force, BROWN)
+    load = (Level(result.load, "load", INK),) if result.load > 0 else ()
     drawn = (
         (
             "displacement", "Contraction of the chain over time, with the pressures",
-            "Contractions add: each band is one muscle's.", over_time(result),
+            "Contractions add: each band is one muscle's.", _over_time(result, rows),
         ),
         (
             "pressure", "Contraction of the chain over the mean pressure",
-            "Mean of the muscles' pressures; the way up and the way down.", over_pressure(result),
+            "Mean of the muscles' pressures; the way up and the way down.",
+            [[_chart("mean pressure [kPa]", "x [mm]", (up, Series("after", mean[top:], x[top:], BROWN)))]],
         ),
         (
             "force-ce-sum", "Sum of F_ce over the contraction of the chain",
-            "What paper 1 calls total F_ce: a sum of coefficients. No end of the chain feels it.", force_sum(result),
+            "What paper 1 calls total F_ce: a sum of coefficients. No end of the chain feels it.",
+            [[_chart("x [mm]", "sum of coefficients F_ce [N]", (Series("", x, total, QUIET, dashed=True),))]],
         ),
         (
             "chain-force", "Force of the chain over its contraction",
             "What the chain pulls with if it is held where it is, and its F_ce: that of one muscle, however many there "
-            "are. 0 where it is shorter than it would hold itself.", force(result),
+            "are. 0 where it is shorter than it would hold itself.", [[_chart("x [mm]", "F [N]", held, levels=load)]],
         ),
     )  # fmt: skip
     most = f"{len(result.muscles)} muscles, up to {1e3 * max(result.displacement):.4g} mm"
@@ -396,24 +406,16 @@ def _rows(result: Result) -> Array:
     return np.unique(np.concatenate((even, jumps[:JUMPS], jumps[:JUMPS] + 1)))
 
 
-def colours(count: int) -> list[str]:
-    """A colour for each muscle; shades of one where there are many."""
-    if count <= MOST_NAMED:
-        return list(PALETTE[:count])
-    return [("#0b5fa5", "#6aa9dc")[i % 2] for i in range(count)]
-
-
-def over_time(result: Result) -> list[list[Chart]]:
-    """Contraction over time as bands, one for each muscle, and the pressures below."""
-    rows = _rows(result)
+def _over_time(result: Result, rows: Array) -> list[list[Chart]]:
+    """Contraction over time as bands, one for each muscle, and the pressures below; many muscles in two shades."""
     t = np.array(result.time)[rows]
     base = np.zeros(len(rows))
+    many = len(result.muscles) > MOST_NAMED
     bands, tops, pressures = [], [], []
-    for link, colour in zip(result.muscles, colours(len(result.muscles)), strict=True):
+    for link, colour in zip(result.muscles, cycle(SHADES if many else PALETTE), strict=False):
         top = base + 1e3 * np.array(link.displacement)[rows]
-        name = link.name if len(result.muscles) <= MOST_NAMED else ""
         bands.append(Series("", t, (base + top) / 2, colour, half=(top - base) / 2, width=0.0))
-        tops.append(Series(name, t, top, colour, width=0.8))
+        tops.append(Series("" if many else link.name, t, top, colour, width=0.8))
         pressures.append(Series("", t, 1e-3 * np.array(link.pressure)[rows], colour, width=1.0))
         base = top
     tops.append(Series("chain", t, base, INK))
@@ -424,32 +426,3 @@ def over_time(result: Result) -> list[list[Chart]]:
 def _chart(x_label: str, y_label: str, series: Sequence[Series], height: float = HALF, **more: Any) -> Chart:
     """A chart that begins at 0 upwards."""
     return Chart(x_label, y_label, tuple(series), height=height, zero=True, legend=True, **more)
-
-
-def over_pressure(result: Result) -> list[list[Chart]]:
-    """Contraction over the mean pressure."""
-    rows = _rows(result)
-    mean = 1e-3 * np.mean([link.pressure for link in result.muscles], axis=0)[rows]
-    x = 1e3 * np.array(result.displacement)[rows]
-    top = int(np.argmax(x))
-    up = Series("until it is shortest", mean[: top + 1], x[: top + 1], BLUE)
-    return [[_chart("mean pressure [kPa]", "x [mm]", (up, Series("after", mean[top:], x[top:], BROWN)))]]
-
-
-def force_sum(result: Result) -> list[list[Chart]]:
-    """Sum of F_ce over contraction, dashed: it is no force."""
-    rows = _rows(result)
-    x, total = 1e3 * np.array(result.displacement)[rows], np.array(result.force_ce_sum)[rows]
-    return [[_chart("x [mm]", "sum of coefficients F_ce [N]", (Series("", x, total, QUIET, dashed=True),))]]
-
-
-def force(result: Result) -> list[list[Chart]]:
-    """Force of the chain over its contraction, with its F_ce and the load."""
-    rows = _rows(result)
-    x = 1e3 * np.array(result.displacement)[rows]
-    lines = (
-        Series("F_ce of the chain", x, np.array(result.force_ce)[rows], FAINT),
-        Series("force if it is held", x, np.array(result.force)[rows], BROWN),
-    )
-    load = (Level(result.load, "load", INK),) if result.load > 0 else ()
-    return [[_chart("x [mm]", "F [N]", lines, levels=load)]]

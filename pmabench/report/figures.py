@@ -363,16 +363,10 @@ def _chart(
         hollow = not (first or theirs)
         series.append(Series(label, x, y, color, "x" if theirs else "o", half, method=other, hollow=hollow, said=said))
     values = sorted((e.value or 0.0) / unit.scale for e in known)
-    return Chart(
-        x_label=x_unit.label(x_label),
-        y_label=unit.label(", ".join(clean(s, 40) for s in symbols)),
-        series=tuple(series),
-        width=size[0],
-        height=size[1],
-        zero=min(values) >= 0 and min(values) < 0.45 * max(values),
-        together="over",
-        legend=max((len(s.label) for s in series), default=0) > SHORT,
-    )
+    zero = values[0] >= 0 and values[0] < 0.45 * values[-1]
+    labels = x_unit.label(x_label), unit.label(", ".join(clean(s, 40) for s in symbols))
+    legend = max((len(s.label) for s in series), default=0) > SHORT
+    return Chart(*labels, tuple(series), *size, zero=zero, together="over", legend=legend)
 
 
 def _columns(values: Sequence[Estimate], over: str, unit: Shown) -> tuple[Array, Array, Array]:
@@ -491,12 +485,5 @@ def _surface_chart(known: Sequence[Estimate], over: str, across: str, size: tupl
         name = f"{number(place / at_unit.scale)} {at_unit.unit}"
         series.append(Series("", x, y, blue(share), width=0.8, hidden=True))
         series.append(Series(name, x, y, blue(share), "o", half, name_color=blue(max(share, READABLE))))
-    values = [(e.value or 0.0) / unit.scale for e in known]
-    return Chart(
-        x_label=point_head(across),
-        y_label=unit.label(symbol_text(known[0].symbol)),
-        series=tuple(series),
-        width=size[0],
-        height=size[1],
-        zero=min(values) >= 0,
-    )
+    zero = min(e.value or 0.0 for e in known) >= 0
+    return Chart(point_head(across), unit.label(symbol_text(known[0].symbol)), tuple(series), *size, zero=zero)

@@ -41,27 +41,13 @@ def write_comparison(
     path: Path,
 ) -> Path:
     """Write the page; raises RecordError where it cannot be."""
-    simulated = a.simulated or b.simulated
     sides = [_drawn(side, found.differences, which) for which, side in (("a", a), ("b", b))]
     drawn = over_pressure(sides, declared([*a.analyses, *b.analyses]), [_named(side) for side in (a, b)])
-    heads, rows = rows_of(a, b, found.differences)
-    curve_heads, curve_table = curve_rows(curves)
-    return write_page(
-        Page(
-            "Comparison",
-            f"{clean(a.name, 60)} against {clean(b.name, 60)}",
-            simulated,
-            [(clean(side.name, 60), clean(side.about, 600)) for side in (a, b)],
-            failed,
-            found.findings,
-            drawn,
-            [
-                TextTable("Coefficient by coefficient", heads, rows, 3),
-                TextTable("Curves compared with published points", curve_heads, curve_table, 3),
-            ],
-        ),
-        path,
-    )
+    facts = [(clean(side.name, 60), clean(side.about, 600)) for side in (a, b)]
+    differences = TextTable("Coefficient by coefficient", *rows_of(a, b, found.differences), 3)
+    tables = [differences, TextTable("Curves compared with published points", *curve_rows(curves), 3)]
+    title, simulated = f"{clean(a.name, 60)} against {clean(b.name, 60)}", a.simulated or b.simulated
+    return write_page(Page("Comparison", title, simulated, facts, failed, found.findings, drawn, tables), path)
 
 
 def _named(side: Side) -> str:
@@ -173,21 +159,19 @@ def _over_cycles(one: Series, *, simulated: bool) -> Picture:
     at = point_text({name: value for name, value in e.at.items() if name != "mass"})
     name = clean(one.name, 200)
     interval_text = "95 % intervals" if bars.any() else "values without intervals"
-    rows = [
-        {
-            "date": clean(m.date, 40)[:16].replace("T", " "),
-            "cycles": f"{m.cycles:,}",
-            unit.label(clean(e.symbol, 20)): rounded(v, half if half else None),
-        }
-        for m, v, half in zip(moments, y.tolist(), bars.tolist(), strict=True)
-    ]
-    return of_charts(
-        [[chart]],
-        f"{name[:1].upper()}{name[1:]} {over}",
-        f"{kind_title(one.kind)}{f', {at}' if at else ''}; {interval_text}.",
-        Frame(rows),
-        simulated=simulated,
-    )
+    caption = f"{kind_title(one.kind)}{f', {at}' if at else ''}; {interval_text}."
+    values = zip(moments, y.tolist(), bars.tolist(), strict=True)
+    rows = [_row(m.date, m.cycles) | {chart.y_label: rounded(v, half or None)} for m, v, half in values]
+    title = f"{name[:1].upper()}{name[1:]} {over}"
+    return of_charts([[chart]], title, caption, Frame(rows), simulated=simulated)
+
+
+def _minute(date: str) -> str:
+    return clean(date, 40)[:16].replace("T", " ")
+
+
+def _row(date: str, cycles: int) -> dict[str, str]:
+    return {"date": _minute(date), "cycles": f"{cycles:,}"}
 
 
 def _control(one: References, *, simulated: bool) -> Picture:
@@ -219,17 +203,11 @@ def _control(one: References, *, simulated: bool) -> Picture:
             "of a long row on one side. Of charts of an unchanged muscle about 1 in 20 has one."
         )
     rows = [
-        {"trial": clean(trial, 120), "date": clean(date, 40)[:16].replace("T", " "), "cycles": f"{cycles:,}",
-         "stroke [mm]": f"{1e3 * stroke:.6g}"}
+        {"trial": clean(trial, 120)} | _row(date, cycles) | {"stroke [mm]": f"{1e3 * stroke:.6g}"}
         for date, cycles, stroke, trial in one.moments
-    ]  # fmt: skip
-    return of_charts(
-        [[chart]],
-        f"Control chart: {clean(one.title, 120)}",
-        caption,
-        Frame(rows),
-        simulated=simulated,
-    )
+    ]
+    title = f"Control chart: {clean(one.title, 120)}"
+    return of_charts([[chart]], title, caption, Frame(rows), simulated=simulated)
 
 
 def _whole(most: int) -> tuple[float, ...]:
@@ -247,7 +225,7 @@ def run_rows(life: Sequence[Past]) -> Rows:
     heads = ["date", "kind", "status", "cycles before", "cycles", "at pressure", "highest [kPa]"]
     return heads + ["driven strokes"] * driven, [
         [
-            clean(past.date, 40)[:16].replace("T", " "),
+            _minute(past.date),
             kind_title(past.kind),
             clean(past.status, 40),
             f"{past.before:,}",
@@ -275,7 +253,7 @@ def value_rows(life: Sequence[Past], series: Sequence[Series]) -> Rows:
     for past in life:
         cells = [_cell(one, past) for one in columns]
         if any(cells):
-            rows.append([clean(past.date, 40)[:16].replace("T", " "), f"{past.before:,}", *cells])
+            rows.append([_minute(past.date), f"{past.before:,}", *cells])
     return heads, rows
 
 

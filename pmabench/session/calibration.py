@@ -90,12 +90,16 @@ def calibrate(
     fits: list[Fit] = []
     warnings: list[str] = []
 
+    def warn(executor: Executor, why: str, limit: str, value: float) -> None:
+        warnings.append(why)
+        executor.event("warning", reason=why, limit=limit, action="warn", value=value)
+
     def before_proof(executor: Executor) -> None:
         if request.nominal and channel is not None and not executor.bench.simulated:
             raise UsageError("--yes: on a real bench somebody has to read the reference")
 
     def procedure(executor: Executor) -> None:
-        executor.recorder.event("calibration", executor.clock.now(), **asdict(request))
+        executor.event("calibration", **asdict(request))
         executor.acquisition.record(on=True)
         work = _Work(executor, mounted, request, read, channel, output)
         for number, (target, way, cycle) in enumerate(order(request.points, request.cycles)):
@@ -105,25 +109,21 @@ def calibrate(
             executor.progress(Progress(number, steps, None, 0, now, left, f"{way} {number + 1}"))
             point = work.point(target, way, cycle)
             points.append(point)
-            executor.recorder.event("calibration-point", executor.clock.now(), **asdict(point))
+            executor.event("calibration-point", **asdict(point))
             if channel is not None and output is not None and (why := not_reached(point, request, quantity)):
-                warnings.append(why)
-                about = {"limit": "calibration point", "action": "warn", "value": point.reference}
-                executor.recorder.event("warning", executor.clock.now(), reason=why, **about)
+                warn(executor, why, "calibration point", point.reference)
         executor.acquisition.record(on=False)
         found = fit(points, work.reference_uncertainty)
         if said := not_followed(found, points, quantity, raw_unit):
             raise VerdictFailed(said)
         for why in contradictions(found, channel) if channel is not None else ():
-            warnings.append(why)
-            about = {"limit": "calibration", "action": "warn", "value": found.expanded}
-            executor.recorder.event("warning", executor.clock.now(), reason=why, **about)
+            warn(executor, why, "calibration", found.expanded)
         off, where = farthest(found)
         if abs(off) > NO_LINE * float(np.ptp([value for _, value in found.points])):
             far = f"the point {show(where, quantity, 4)} lies {show(abs(off), quantity, 3)} off the line"
             raise VerdictFailed(f"no calibration: {far}, more than {NO_LINE:.0%} of the span")
         fits.append(found)
-        executor.recorder.event("calibrated", executor.clock.now(), channel=request.channel, **asdict(found))
+        executor.event("calibrated", channel=request.channel, **asdict(found))
 
     points_of = {"points": list(request.points)}
     more = {"out": out, "operator_name": operator_name, "progress": progress, "before_proof": before_proof}

@@ -120,23 +120,14 @@ WORDS = {
     EXPECTED: "`expected` of the specimen file",
 }
 KINDS = {
-    FLIPPED: "the sign of {} is wrong (its two wires, or the ends of its calibration)",
-    SCALE: "the scale of {} is wrong: look at its range and at its calibration",
-    STILL: "{} does not answer: look at its wire and its power",
-    WRONG: "look at the wire of {}, at its range and at its calibration",
+    FLIPPED: ("the sign of {} is wrong (its two wires, or the ends of its calibration)", "a sign is wrong"),
+    SCALE: ("the scale of {} is wrong: look at its range and at its calibration", "numbers disagree"),
+    STILL: ("{} does not answer: look at its wire and its power", "something does not answer"),
+    WRONG: ("look at the wire of {}, at its range and at its calibration", "a wire, a range or a calibration is wrong"),
 }
-UNDECIDED = {
-    FLIPPED: "a sign is wrong",
-    SCALE: "numbers disagree",
-    STILL: "something does not answer",
-    WRONG: "a wire, a range or a calibration is wrong",
-}
-"""First words of a cause if several wires could be at fault."""
+"""Kind of broken claim -> a cause in words, and its first words if several wires could be at fault."""
 REFERENCES = {
-    "scale of force": (
-        ("load cell", "force as expected"),
-        "no weight hung, and nothing is expected of it",
-    ),
+    "scale of force": (("load cell", "force as expected"), "no weight hung, and nothing is expected of it"),
     "scale of displacement": (
         ("contraction as expected", "displacement driven"),
         "no drive moves the free end, and nothing is expected of the specimen",
@@ -212,12 +203,12 @@ def words(wiring: Wiring, cause: Cause) -> str:
             return f"look at {named[0]}"
         if wiring.dump is not None and cause.wires[0] == wiring.dump.name:
             return f"{named[0]} has no effect, or the opposite one: look at its wire, and at its `energised`"
-        return KINDS[cause.kind].format(named[0])
+        return KINDS[cause.kind][0].format(named[0])
     if not swaps and not named:
         return "no single wire explains all that is wrong"
     *first, last = *named, *swaps
     then = "; look at the plates first, then at the sensor, its range and its calibration"
-    undecided = f"{UNDECIDED[cause.kind]}; undecided between {', '.join(first)} and {last}"
+    undecided = f"{KINDS[cause.kind][1]}; undecided between {', '.join(first)} and {last}"
     return undecided + (then if PLATES in cause.wires else "")
 
 

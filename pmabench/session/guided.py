@@ -180,6 +180,16 @@ def steady(acquisition: Acquisition, name: str, most: float, *, seconds: float =
             )
 
 
+def above(limits: Mapping[str, float]) -> Stop:
+    """Stop rule: the first sample at which one of these channels is above its limit [SI]."""
+
+    def reached(block: Samples) -> int | None:
+        high = (block.values[name] > limit for name, limit in limits.items() if name in block.values)
+        return min((int(one.argmax()) for one in high if one.any()), default=None)
+
+    return reached
+
+
 PHASE = "jog"
 BLOCK = 0.1
 """Interval for reading keys [s]."""
@@ -294,7 +304,7 @@ def jog(
             for key in keys():
                 lines.append(work.press(key))
                 if key == "z":
-                    executor.recorder.event("tare", executor.clock.now())
+                    executor.event("tare")
             shown(series, work, [line for line in lines if line])
 
     name = f"set-up of {mounted.bench.name}"
@@ -331,14 +341,8 @@ def hold_at(
 
     def procedure(executor: Executor) -> None:
         acquisition, clock = executor.acquisition, executor.clock
-
-        def wait() -> None:
-            acquisition.pass_time(BLOCK)
-
         acquisition.record(on=True)
-        executor.recorder.event("prompt", clock.now(), text=text, phase=PHASE)
-        answer = executor.operator.ask(text, acquisition.latest, wait)
-        executor.recorder.event("answer", clock.now(), text=text, answer=answer)
+        executor.event("answer", text=text, answer=executor.prompt(text, phase=PHASE))
         work = Jog(executor, mounted)
         work.go(name, value)
         end = clock.now() + (float("inf") if seconds is None else seconds)

@@ -104,7 +104,7 @@ class SelfTesting:
     def _record(self, executor: Executor) -> None:
         checks = [asdict(check) for check in self.checks]
         leaks = {"leaks": self._each.leaks} if self._each is not None else {}
-        executor.recorder.event("self-test", executor.clock.now(), checks=checks, leak=self._leaks, **leaks)
+        executor.event("self-test", checks=checks, leak=self._leaks, **leaks)
         self._report(self.checks)
 
     def _run(self, executor: Executor, stepping: Stepping) -> None:

@@ -281,14 +281,14 @@ def _hold(
     test = SelfTesting(mounted, report) if declared.self_test is not None else None
 
     def procedure(executor: Executor) -> None:
-        executor.recorder.event("session", executor.clock.now(), skipped=skipped, shortened=shortened)
+        executor.event("session", skipped=skipped, shortened=shortened)
         executor.acquisition.record(on=True)
         if test is not None:
             test.run(executor)
         if declared.warm_up is not None and not skipped:
             _warm_up(executor, declared.warm_up)
         zeros.update(take_zeros(executor, mounted))
-        executor.recorder.event("zeros", executor.clock.now(), channels=as_data(zeros))
+        executor.event("zeros", channels=as_data(zeros))
         executor.acquisition.record(on=False)
 
     if test is not None:
@@ -321,7 +321,7 @@ def _warm_up(executor: Executor, warm_up: WarmUp) -> None:
     """Cycle between zero and the warm-up's pressure."""
     clock = executor.clock
     end = clock.now() + warm_up.duration
-    executor.recorder.event("warm-up", clock.now(), duration=warm_up.duration, pressure=warm_up.pressure)
+    executor.event("warm-up", duration=warm_up.duration, pressure=warm_up.pressure)
     executor.acquisition.record(on=False)
     cycles = 0
     rest = executor.acquisition.latest.get("displacement")
@@ -337,4 +337,4 @@ def _warm_up(executor: Executor, warm_up: WarmUp) -> None:
                 refuse_backwards(executor, rest)
         cycles += 1
     executor.do(Record("warm-up", on=True))
-    executor.recorder.event("warmed-up", clock.now(), cycles=cycles)
+    executor.event("warmed-up", cycles=cycles)

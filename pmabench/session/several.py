@@ -12,11 +12,10 @@ from math import inf
 from pmabench.base.quantities import show
 from pmabench.bench.compile import Mounted
 from pmabench.bench.session import SelfTest
-from pmabench.engine.acquire import Samples
 from pmabench.engine.executor import Executor
 from pmabench.protocol.plan import Set
 from pmabench.session.checks import NOT_CHECKED, NOT_MEASURED, Check, at_rest, judged, refuse
-from pmabench.session.guided import Series, listen
+from pmabench.session.guided import above, listen
 from pmabench.session.stepping import NO_LEAK, REST, isolation, leaks
 from pmabench.session.wiring import SIGNIFICANT, Wiring
 
@@ -159,15 +158,9 @@ class EachMuscle:
         The hold ends early if a pressure rises by more than `most` [Pa]; that rise is then returned.
         """
         limits = {name: self._rest[name] + most for name in self._names.values()}
-
-        def too_high(block: Samples) -> int | None:
-            above = [block.values[name] > limit for name, limit in limits.items() if name in block.values]
-            found = [int(one.argmax()) for one in above if one.any()]
-            return min(found, default=None)
-
         for name, pressure in pressures.items():
             executor.do(Set(PHASE, name, pressure))
-        series: Mapping[str, Series] = listen(executor.acquisition, self._test.settle, too_high)
+        series = listen(executor.acquisition, self._test.settle, above(limits))
         ends = {name: one.mean(LAST * self._test.settle) for name, one in series.items() if name in self._rest}
         ends |= {name: top for name in limits if (top := float(series[name].y.max())) > limits[name]}
         return {name: value - self._rest[name] for name, value in ends.items()}

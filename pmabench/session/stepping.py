@@ -16,11 +16,11 @@ from pmabench.base.quantities import show
 from pmabench.bench.compile import Mounted
 from pmabench.bench.safety import SUPPLY_MARGIN
 from pmabench.bench.session import SelfTest
-from pmabench.engine.acquire import Array, Samples
+from pmabench.engine.acquire import Array
 from pmabench.engine.executor import Executor
 from pmabench.protocol.plan import Hold, Ramp, Set
 from pmabench.session.checks import NOT_CHECKED, NOT_MEASURED, Check, judged, refuse, table
-from pmabench.session.guided import Series, listen, put_on
+from pmabench.session.guided import Series, above, listen, put_on
 from pmabench.session.wiring import (
     DISPLACEMENT,
     FORCE,
@@ -230,14 +230,9 @@ class Stepping:
         """Apply the first small pressure, with any load, and test the effect of the dump valve."""
         pressure, rest = self._test.points[0], self.stages[-1].means[PRESSURE]
         most = rest + 2 * pressure + self.wiring.follows_within()
-
-        def too_high(block: Samples) -> int | None:
-            values = block.values.get(PRESSURE, np.zeros(0))
-            return int((values > most).argmax()) if (values > most).any() else None
-
         self._now = Stage({}, pressure)
         self._executor.do(Set(PHASE, PRESSURE, pressure))
-        series = listen(self._executor.acquisition, self._test.settle, too_high)
+        series = listen(self._executor.acquisition, self._test.settle, above({PRESSURE: most}))
         if (series[PRESSURE].y > most).any():
             self._executor.acquisition.pass_time(READ_BACK)
             self.ended(dict(self._executor.acquisition.latest))
@@ -348,29 +343,17 @@ class Stepping:
             return never if value is None else f"{value:.3f} s"
 
         most = (self._mounted.bench_file.air.overshoot or self._test.linearity * top) + SIGNIFICANT * noise
-        step = f"step to {show(top, 'pressure', 4)}"
         look = "look at the regulator's supply, at its settings and at the length of its hose"
-        yield judged(
-            f"{step}: dead time, rise",
-            f"{time(response.dead_time)} (to 5 %), {time(response.rise)} (10 to 90 %)",
-            "both within the hold",
-            good=response.dead_time is not None and response.rise is not None,
-            hint=look,
-        )
-        yield judged(
-            f"{step}: settling",
-            f"{time(response.settling)} (within 5 %)",
-            f"within {self._test.settle:g} s",
-            good=response.settling is not None,
-            hint=look,
-        )
-        yield judged(
-            f"{step}: overshoot",
-            show(response.overshoot, "pressure", 3),
-            f"at most {show(most, 'pressure', 3)}",
-            good=response.overshoot <= most,
-            hint="the regulator overshoots more than the bench file says: the trip limit may be too near",
-        )
+        too_far = "the regulator overshoots more than the bench file says: the trip limit may be too near"
+        begun, rise, settling, over = response.dead_time, response.rise, response.settling, response.overshoot
+        reached, within = f"{time(begun)} (to 5 %), {time(rise)} (10 to 90 %)", f"within {self._test.settle:g} s"
+        at_most = f"at most {show(most, 'pressure', 3)}"
+        for name, value, limit, good, hint in (
+            ("dead time, rise", reached, "both within the hold", None not in (begun, rise), look),
+            ("settling", f"{time(settling)} (within 5 %)", within, settling is not None, look),
+            ("overshoot", show(over, "pressure", 3), at_most, over <= most, too_far),
+        ):
+            yield judged(f"step to {show(top, 'pressure', 4)}: {name}", value, limit, good=good, hint=hint)
         yield from self._supply_in_fill()
         yield self._alignment(up, down)
 

@@ -168,6 +168,15 @@ _HASH_TAIL = b'"\n}\n'
 _NO_HASH = b"0" * 64
 
 
+def newest_run(place: Path) -> Path | None:
+    """The run folder in `place` that began last; None without one."""
+    begun = []
+    for path in place.glob(f"*/{MANIFEST}"):
+        with suppress(OSError):
+            begun.append((path.stat().st_mtime, path.parent))
+    return max(begun)[1] if begun else None
+
+
 def plain(value: Any) -> Any:
     """`value` converted for JSON: numpy numbers and arrays to numbers and lists, NaN and infinity to null."""
     if value is None or isinstance(value, str | bool | int):

@@ -20,7 +20,7 @@ MOCK = ["--bench", "mock", "--specimen", "mas-20-250-paper0"]
 
 def test_help_lists_every_command_from_the_table():
     text = call("--help").output
-    for name, (_, line) in COMMANDS.items():
+    for name, (_, line, _) in COMMANDS.items():
         assert re.search(rf"^  {name}\s", text, re.MULTILINE), name
         assert line.split()[0] in text
 

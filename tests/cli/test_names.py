@@ -14,7 +14,7 @@ from click.shell_completion import ShellComplete
 from click.testing import CliRunner
 
 from pmabench.base.errors import InvalidFile
-from pmabench.cli.main import COMMANDS, EXAMPLES, SECTIONS, main
+from pmabench.cli.main import COMMANDS, SECTIONS, main
 from pmabench.cli.names import RunFolder, in_full, short
 from pmabench.files.shipped import find_file
 
@@ -52,7 +52,7 @@ def test_each_help_ends_with_an_example_whose_options_exist(name):
     reported = CliRunner().invoke(main, [name, "--help"])
     assert (reported.exit_code, f"pmabench {name}" in reported.stdout.split("Example", 1)[-1]) == (0, True)
     command = main.get_command(click.Context(main), name)
-    typed = shlex.split(EXAMPLES[name])
+    typed = shlex.split(COMMANDS[name][2])
     while isinstance(command, click.Group):
         command = command.commands[typed.pop(0)]
     command.make_context(name, typed)

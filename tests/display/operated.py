@@ -16,17 +16,15 @@ def main(folder, log, die=""):
     """Until q, or the display is gone."""
     display = Display()
     display.start(Path(folder))
-    display.ask("Put 6 kg on.", ("clear", "no"))
+    display.ask("Put 6 kg on [/dev/ttyUSB0] [/].", ("clear", "no"))
     with Path(log).open("w", buffering=1) as out:
         out.write(json.dumps({"pid": display._process.pid}) + "\n")
         while display.alive:
             display.live({"pressure": 1230.0})
             for message in display.poll():
                 out.write(json.dumps(message) + "\n")
-                if message.get("key") == "v":
-                    if die:
-                        os._exit(9)
-                    display.log("[/dev/ttyUSB0] says [/]")
+                if message.get("key") == "v" and die:
+                    os._exit(9)
                 if message.get("key") == "q":
                     display.close()
             time.sleep(0.02)

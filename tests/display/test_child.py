@@ -62,7 +62,7 @@ def busy(display, count=2000):
     begun = time.monotonic()
     taken = 0
     for number in range(count):
-        taken += display.log(f"line {number} " + "x" * 200)
+        taken += display._link.send({"live": {f"{number} " + "x" * 200: 0.0}})
         display.live({"pressure": 1e5})
         display.ask("again?", ("yes",))
         display.poll()
@@ -143,9 +143,8 @@ def test_without_a_terminal_there_are_plain_lines(folder, ends):
     theirs.close()
     link = Link(ours)
     link.send({"ask": {"id": 1, "text": "Put 6 kg on.", "words": ["clear"]}})
-    link.send({"log": "half way"})
     reported = ""
-    while "half way" not in reported:
+    while "asked" not in reported:
         reported += child.stderr.readline()
     link.close()
     reported += child.stderr.read()
@@ -224,6 +223,7 @@ def terminal(folder, tmp_path, request):
 
 
 def test_answers_keys_and_notes_arrive_and_the_terminal_is_given_back(terminal):
+    terminal.drawn("6 kg on [/dev/ttyUSB0] [/].")
     terminal.drawn("measured pressure")
     terminal.drawn("1.2 kPa")
     assert not terminal.keyboard()
@@ -238,7 +238,6 @@ def test_answers_keys_and_notes_arrive_and_the_terminal_is_given_back(terminal):
     terminal.until_reported({"note": "hiss at the [fitting]"})
     terminal.press("v")
     terminal.until_reported({"key": "v"})
-    terminal.drawn("[/dev/ttyUSB0] says [/]")
     terminal.press("\x1a\x13")  # Ctrl-Z and Ctrl-S do nothing
     terminal.press("q")
     terminal.until_reported({"over": True})

@@ -19,10 +19,11 @@ from scipy.io import loadmat
 import pmabench
 from pmabench.base.errors import UsageError
 from pmabench.base.quantities import QUANTITIES
+from pmabench.cli.export import FORMATS
 from pmabench.cli.main import main
 from pmabench.notebook import Results
 from pmabench.plotting.svg import GREEK
-from pmabench.report.files.export import FORMATS, export_results, export_run, typeset
+from pmabench.report.files.export import export_results, export_run, typeset
 from pmabench.report.files.simulator_models import GRAVITY, control_model, mujoco_model, simulated
 from pmabench.store.analyses.results import Analysis, Parts
 from tests.store.runs import closed

@@ -49,7 +49,7 @@ class Bench:
         self.set_point, self.energised, self.highest = 0.0, {}, 0.0
         self.driven = right.bench.free_end == "actuator"
         self.clock = SimpleNamespace(now=lambda: self.t)
-        self.recorder = SimpleNamespace(event=lambda *_args, **_data: None)
+        self.event = lambda *_args, **_data: None
         self.guard = self
         self.acquisition = self
         self.rate, self.latest = RATE, {}

@@ -28,7 +28,7 @@ from pmabench.display.web import picture
 from pmabench.display.web.series import FINE, WIDTHS, Buckets, Loops, Piece, level_for
 from pmabench.display.wording import about_run, clean, quantity
 from pmabench.store import folder as files
-from pmabench.store.folder import read_manifest, read_seal, status_of
+from pmabench.store.folder import newest_run, read_manifest, read_seal, status_of
 from pmabench.store.livestream import pa
 
 LONGEST_FRAME = 10.0
@@ -337,7 +337,7 @@ class Places:
         what, _, name = address.strip("/").partition("/")
         name = unquote(name)
         if not what:
-            return self._newest()
+            return newest_run(self.root)
         if what == "run":
             if name in {"", ".", ".."} or len(name) > 255 or any(sign in name for sign in "/\\\0"):
                 return None
@@ -358,13 +358,6 @@ class Places:
         names = sorted((path.parent.name for path in self.root.glob(f"*/{files.MANIFEST}")), reverse=True)[:LISTED]
         found = [about for entry in names if (about := self._about(self.root / entry)) and about[what] == wanted]
         return sorted(found, key=lambda about: about["started"], reverse=True)[:SHOWN]
-
-    def _newest(self) -> Path | None:
-        runs = []
-        for path in self.root.glob(f"*/{files.MANIFEST}"):
-            with suppress(OSError):
-                runs.append((path.stat().st_mtime, path.parent))
-        return max(runs)[1] if runs else None
 
     def _about(self, run: Path) -> dict[str, Any] | None:
         """Summary of a run for a list; None if it cannot be read."""

@@ -32,7 +32,6 @@ from pmabench.store.folder import plain
 from pmabench.store.livestream import pa, pq
 from pmabench.store.records import RunData
 
-FORMATS = ("csv", "parquet", "mat", "latex", "json", "python-control", "mujoco")
 _UNIT = re.compile(r"(.*) \[([^\[\]]*)\]")
 
 

@@ -5,7 +5,7 @@ https://www.researchobject.org/ro-crate/specification/1.1/. Manifests are untrus
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 from urllib.parse import quote
@@ -54,29 +54,30 @@ class Contents:
 
 def crate_of(contents: Contents) -> Node:
     """The content of `ro-crate-metadata.json`; the same contents give the same graph."""
-    about = contents.about
-    name, url = LICENCES[about.licence]
+    about, (name, url) = contents.about, LICENCES[contents.about.licence]
     values = [_value(n, a, e) for a in contents.analyses for n, e in enumerate(a[1].estimates) if e.value is not None]
     actions = [*(_recording(folder, run) for folder, run in contents.runs), _processing(contents)]
-    root = {
-        "@id": "./", "@type": "Dataset", "name": contents.title, "description": contents.description,
-        "datePublished": about.published, "license": {"@id": url}, "keywords": ", ".join(contents.keywords),
-        "author": [{"@id": _person(n, author.orcid)} for n, author in enumerate(about.authors)],
-        "publisher": {"@id": _place(about.publisher)}, "variableMeasured": _ids(value for value, _ in values),
-        "mentions": _ids(actions), "about": _ids(_specimens(contents.runs)),
-        "hasPart": [*({"@id": f"{quote(folder)}/"} for folder, _ in _folders(contents)),
-                    *({"@id": quote(item.path)} for item in contents.items if not _folder_of(item, contents))],
-    }  # fmt: skip
-    if about.doi:
-        root["identifier"] = f"https://doi.org/{about.doi}"
-    descriptor = {
-        "@id": CRATE, "@type": "CreativeWork", "about": {"@id": "./"}, "sdPublisher": {"@id": SOFTWARE},
-        "conformsTo": {"@id": "https://w3id.org/ro/crate/1.1"}, "license": {"@id": url},
-    }  # fmt: skip
-    licence: Node = {"@id": url, "@type": "CreativeWork", "name": name, "identifier": about.licence}
-    licence["description"] = f"{name} ({about.licence}); its text is at {url}"
+    specimens = _specimens(contents.runs)
+    alone = [_ref(quote(item.path)) for item in contents.items if not _folder_of(item, contents)]
+    root = _node(
+        "./", "Dataset", name=contents.title, description=contents.description, datePublished=about.published,
+        license=_ref(url), keywords=", ".join(contents.keywords), publisher=_ref(_place(about.publisher)),
+        author=[_ref(_person(n, author.orcid)) for n, author in enumerate(about.authors)],
+        variableMeasured=_ids(value for value, _ in values), mentions=_ids(actions), about=_ids(specimens),
+        hasPart=[*(_ref(f"{quote(folder)}/") for folder, _ in _folders(contents)), *alone],
+        identifier=about.doi and f"https://doi.org/{about.doi}",
+    )  # fmt: skip
+    descriptor = _node(
+        CRATE, "CreativeWork", about=_ref("./"), sdPublisher=_ref(SOFTWARE), license=_ref(url),
+        conformsTo=_ref("https://w3id.org/ro/crate/1.1"),
+    )  # fmt: skip
+    text = f"{name} ({about.licence}); its text is at {url}"
+    licence = _node(url, "CreativeWork", name=name, identifier=about.licence, description=text)
+    what = "Bench data acquisition and evaluation for pneumatic muscle actuators"
+    software = _node(SOFTWARE, "SoftwareApplication", name="pmabench", softwareVersion=__version__,
+                     version=__version__, description=what)  # fmt: skip
     graph: list[Node] = [
-        descriptor, root, licence, *_people(contents), *_parts(contents), _software(), *_specimens(contents.runs),
+        descriptor, root, licence, *_people(contents), *_parts(contents), software, *specimens,
         *_devices(contents.runs), *actions, *(node for pair in values for node in pair if node),
     ]  # fmt: skip
     unique = {node["@id"]: node for node in graph}
@@ -84,8 +85,17 @@ def crate_of(contents: Contents) -> Node:
     return {"@context": context, "@graph": list(unique.values())}
 
 
+def _node(key: str, kind: str, **entries: Any) -> Node:
+    """An entity of the graph, without entries that say nothing."""
+    return {"@id": key, "@type": kind} | {name: value for name, value in entries.items() if value not in ("", None)}
+
+
+def _ref(key: str) -> Node:
+    return {"@id": key}
+
+
 def _ids(nodes: Iterable[Node]) -> list[Node]:
-    return [{"@id": node["@id"]} for node in nodes]
+    return [_ref(node["@id"]) for node in nodes]
 
 
 def _person(number: int, orcid: str) -> str:
@@ -94,19 +104,18 @@ def _person(number: int, orcid: str) -> str:
 
 def _people(contents: Contents) -> list[Node]:
     """Authors, operators, the publisher and where authors work."""
-    about, nodes = contents.about, []
+    about = contents.about
     places = dict.fromkeys([about.publisher, *(author.affiliation for author in about.authors if author.affiliation)])
-    for n, author in enumerate(about.authors):
-        node: Node = {"@id": _person(n, author.orcid), "@type": "Person", "name": f"{author.given} {author.family}"}
-        node |= {"givenName": author.given, "familyName": author.family}
-        if author.affiliation:
-            node["affiliation"] = {"@id": _place(author.affiliation)}
-        nodes.append(node)
-    for place in places:
-        node = {"@id": _place(place), "@type": "Organization", "name": place.name}
-        nodes.append(node | ({"url": place.url} if place.url else {}))
     operators = {text_of(run.manifest.get("operator")) for _, run in contents.runs} - {""}
-    return nodes + [{"@id": _operator(name), "@type": "Person", "name": name} for name in sorted(operators)]
+    return [
+        *(
+            _node(_person(n, author.orcid), "Person", name=f"{author.given} {author.family}", givenName=author.given,
+                  familyName=author.family, affiliation=author.affiliation and _ref(_place(author.affiliation)))
+            for n, author in enumerate(about.authors)
+        ),
+        *(_node(_place(place), "Organization", name=place.name, url=place.url) for place in places),
+        *(_node(_operator(name), "Person", name=name) for name in sorted(operators)),
+    ]  # fmt: skip
 
 
 def _place(place: Place) -> str:
@@ -127,64 +136,51 @@ def _folder_of(item: Item, contents: Contents) -> str:
     return next((folder for folder, _ in _folders(contents) if item.path.startswith(f"{folder}/")), "")
 
 
-def _parts(contents: Contents) -> list[Node]:
-    nodes: list[Node] = [
-        {
-            "@id": f"{quote(folder)}/", "@type": "Dataset", "name": what, "description": what,
-            "hasPart": [{"@id": quote(i.path)} for i in contents.items if _folder_of(i, contents) == folder],
-        }
-        for folder, what in _folders(contents)
-    ]  # fmt: skip
+def _parts(contents: Contents) -> Iterator[Node]:
+    for folder, what in _folders(contents):
+        parts = [_ref(quote(item.path)) for item in contents.items if _folder_of(item, contents) == folder]
+        yield _node(f"{quote(folder)}/", "Dataset", name=what, description=what, hasPart=parts)
     for item in contents.items:
-        node = {"@id": quote(item.path), "@type": "File", "name": item.path, "description": item.what}
-        node |= {"encodingFormat": item.media, "contentSize": str(item.size), "sha256": item.sha256}
-        nodes.append(node)
-    return nodes
-
-
-def _software() -> Node:
-    what = "Bench data acquisition and evaluation for pneumatic muscle actuators"
-    node = {"@id": SOFTWARE, "@type": "SoftwareApplication", "name": "pmabench", "softwareVersion": __version__}
-    return node | {"version": __version__, "description": what}
+        yield _node(quote(item.path), "File", name=item.path, description=item.what, encodingFormat=item.media,
+                    contentSize=str(item.size), sha256=item.sha256)  # fmt: skip
 
 
 def _specimen_id(run: RunData) -> str:
     return "#specimen-" + quote(text_of(get(run.manifest, "specimen", "serial")) or "unnamed", safe="")
 
 
+SIZES = (
+    ("nominal length", "nominal_length", "m"), ("inner diameter", "inner_diameter", "m"),
+    ("braid angle", "braid_angle", "rad"), ("cycles before these runs", "cycles_before", "1"),
+)  # fmt: skip
+"""Name, entry of the specimen in a manifest, and unit."""
+
+
 def _specimens(runs: Iterable[tuple[str, RunData]]) -> list[Node]:
-    nodes: dict[str, Node] = {}
+    """Each specimen once, with its sizes as entities next to it, as a crate wants it."""
+    nodes: dict[str, list[Node]] = {}
     for _, run in runs:
-        about = run.manifest.get("specimen")
-        words = {key: text_of(get(about, key)) for key in ("make", "type", "serial")}
-        node: Node = {"@id": _specimen_id(run), "@type": "IndividualProduct"}
-        node["name"] = " ".join(word for word in words.values() if word) or "specimen"
-        node |= {key: words[of] for key, of in (("model", "type"), ("serialNumber", "serial")) if words[of]}
-        sizes = [("nominal length", "nominal_length", "m"), ("inner diameter", "inner_diameter", "m"),
-                 ("braid angle", "braid_angle", "rad"), ("cycles before these runs", "cycles_before", "1")]  # fmt: skip
-        node["additionalProperty"] = [
-            {"@type": "PropertyValue", "@id": f"{node['@id']}-{key}", "name": name, "value": value, "unitCode": unit}
-            for name, key, unit in sizes
-            if is_number(value := get(about, key))
+        about, key = run.manifest.get("specimen"), _specimen_id(run)
+        words = [text_of(get(about, name)) for name in ("make", "type", "serial")]
+        sizes = [
+            _node(f"{key}-{entry}", "PropertyValue", name=name, value=value, unitCode=unit)
+            for name, entry, unit in SIZES
+            if is_number(value := get(about, entry))
         ]
-        nodes.setdefault(node["@id"], node)
-    return _flat(nodes.values())
+        name = " ".join(filter(None, words)) or "specimen"
+        nodes.setdefault(key, _product(key, name, sizes, model=words[1], serialNumber=words[2]))
+    return [node for each in nodes.values() for node in each]
 
 
-def _flat(nodes: Iterable[Node]) -> list[Node]:
-    """Entities with their properties as entities next to them, as a crate wants it."""
-    found: list[Node] = []
-    for node in nodes:
-        inner = node.pop("additionalProperty", [])
-        found.append(node | ({"additionalProperty": _ids(inner)} if inner else {}))
-        found += inner
-    return found
+def _product(key: str, name: str, properties: Sequence[Node], **entries: Any) -> list[Node]:
+    """A thing, and its properties."""
+    own = _ids(properties) or None
+    return [_node(key, "IndividualProduct", name=name, additionalProperty=own, **entries), *properties]
 
 
 def _devices(runs: Sequence[tuple[str, RunData]]) -> list[Node]:
     """The bench with its channels' calibrations, and its devices."""
     nodes: list[Node] = []
-    names = "; ".join(name for name, _ in benches([run for _, run in runs])) or "bench"
     properties: dict[str, Node] = {}
     for _, run in runs:
         for info in run.channels.values():
@@ -192,62 +188,61 @@ def _devices(runs: Sequence[tuple[str, RunData]]) -> list[Node]:
             text = f"{clean(info.calibration, 80) or 'none'}; 95 %: offset {info.offset_uncertainty:.3g} {unit}"
             text += f", gain {info.gain_uncertainty:.3g}"
             key = f"#calibration-{quote(clean(info.name, 60), safe='')}-{quote(clean(info.calibration, 80), safe='')}"
-            node = {"@id": key, "@type": "PropertyValue", "name": f"calibration of {clean(info.name, 60)}"}
-            properties.setdefault(key, node | {"value": text})
+            name = f"calibration of {clean(info.name, 60)}"
+            properties.setdefault(key, _node(key, "PropertyValue", name=name, value=text))
         devices = run.manifest.get("devices")
         for name, device in devices.items() if isinstance(devices, Mapping) else ():
-            node = {"@id": f"#device-{quote(clean(name, 60), safe='')}", "@type": "IndividualProduct"}
-            words = {key: text_of(get(device, key), 80) for key in ("maker", "model", "serial", "firmware")}
-            node["name"] = f"{words['maker']} {words['model']}".strip() or clean(name, 60)
-            node |= {key: words[of] for key, of in (("model", "model"), ("serialNumber", "serial")) if words[of]}
-            node["description"] = f"device of the bench, firmware {words['firmware'] or 'not known'}"
-            nodes.append(node | {"isRelatedTo": {"@id": BENCH}})
-    bench = {"@id": BENCH, "@type": "IndividualProduct", "name": names}
-    return [*_flat([bench | {"additionalProperty": list(properties.values())}]), *nodes]
+            maker, model, serial, firmware = (
+                text_of(get(device, entry), 80) for entry in ("maker", "model", "serial", "firmware")
+            )
+            nodes += _product(
+                f"#device-{quote(clean(name, 60), safe='')}", f"{maker} {model}".strip() or clean(name, 60), (),
+                model=model, serialNumber=serial, isRelatedTo=_ref(BENCH),
+                description=f"device of the bench, firmware {firmware or 'not known'}",
+            )  # fmt: skip
+    names = "; ".join(name for name, _ in benches([run for _, run in runs])) or "bench"
+    return [*_product(BENCH, names, list(properties.values())), *nodes]
 
 
 def _recording(folder: str, run: RunData) -> Node:
     done = run.status in {"finished", "failed"}
-    node: Node = {
-        "@id": f"#recording-{quote(run.id, safe='')}", "@type": "CreateAction", "name": f"Recording of {run.id}",
-        "description": f"{kind_title(run.kind)}; the run is {clean(run.status, 40)}", "instrument": {"@id": BENCH},
-        "object": {"@id": _specimen_id(run)}, "result": {"@id": f"{quote(folder)}/"},
-        "actionStatus": {"@id": f"http://schema.org/{'Completed' if done else 'Failed'}ActionStatus"},
-    }  # fmt: skip
-    for key, entry in (("startTime", "started_utc"), ("endTime", "closed_utc")):
-        if text := text_of(run.manifest.get(entry), 40):
-            node[key] = text
-    if name := text_of(run.manifest.get("operator")):
-        node["agent"] = {"@id": _operator(name)}
-    return node
+    begun, closed = (text_of(run.manifest.get(entry), 40) for entry in ("started_utc", "closed_utc"))
+    operator = text_of(run.manifest.get("operator"))
+    return _node(
+        f"#recording-{quote(run.id, safe='')}", "CreateAction", name=f"Recording of {run.id}", instrument=_ref(BENCH),
+        description=f"{kind_title(run.kind)}; the run is {clean(run.status, 40)}", object=_ref(_specimen_id(run)),
+        result=_ref(f"{quote(folder)}/"), startTime=begun, endTime=closed,
+        agent=_ref(_operator(operator)) if operator else None,
+        actionStatus=_ref(f"http://schema.org/{'Completed' if done else 'Failed'}ActionStatus"),
+    )  # fmt: skip
 
 
 def _processing(contents: Contents) -> Node:
-    return {
-        "@id": "#processing", "@type": "CreateAction", "name": "Evaluation of the runs",
-        "description": "Coefficients with their 95 % intervals, and the report",
-        "endTime": contents.about.published, "instrument": {"@id": SOFTWARE},
-        "agent": {"@id": _person(0, contents.about.authors[0].orcid)},
-        "object": [{"@id": f"{quote(folder)}/"} for folder, _ in contents.runs],
-        "result": [{"@id": f"{quote(folder)}/"} for folder, _ in contents.analyses],
-        "actionStatus": {"@id": "http://schema.org/CompletedActionStatus"},
-    }  # fmt: skip
+    return _node(
+        "#processing", "CreateAction", name="Evaluation of the runs", instrument=_ref(SOFTWARE),
+        description="Coefficients with their 95 % intervals, and the report", endTime=contents.about.published,
+        agent=_ref(_person(0, contents.about.authors[0].orcid)),
+        object=[_ref(f"{quote(folder)}/") for folder, _ in contents.runs],
+        result=[_ref(f"{quote(folder)}/") for folder, _ in contents.analyses],
+        actionStatus=_ref("http://schema.org/CompletedActionStatus"),
+    )  # fmt: skip
 
 
 def _value(number: int, of: tuple[str, Analysis], e: Estimate) -> tuple[Node, Node | None]:
     """A coefficient [SI], and where it was measured."""
     folder, analysis = of
-    key = f"#{quote(folder.rpartition('/')[2], safe='')}-{number + 1}"
-    node: Node = {"@id": key, "@type": "PropertyValue", "value": e.value, "unitText": e.unit, "unitCode": e.unit}
-    node["name"] = f"{clean(e.symbol, 40)} {clean(e.coordinate, 40)}".strip()
-    node["description"] = kind_title(analysis.kind) + (" (simulated)" if analysis.simulated else "")
-    node["measurementTechnique"] = clean(e.method, 120)
-    if e.ci95:
-        node |= {"minValue": e.ci95[0], "maxValue": e.ci95[1]}
-    where = [(name, value, QUANTITIES[POINT_QUANTITIES[name]].unit) for name, value in e.at.items()
-             if name in POINT_QUANTITIES]  # fmt: skip
-    if not where:
-        return node, None
-    name, value, unit = next((place for place in where if place[0] == "pressure"), where[0])
-    point = {"@id": f"#{name}-{value:.12g}", "@type": "PropertyValue", "name": name, "value": value}
-    return node | {"valueReference": {"@id": point["@id"]}}, point | {"unitText": unit, "unitCode": unit}
+    known = [name for name in e.at if name in POINT_QUANTITIES]
+    point = None
+    if known:
+        name = "pressure" if "pressure" in known else known[0]
+        unit = QUANTITIES[POINT_QUANTITIES[name]].unit
+        point = _node(f"#{name}-{e.at[name]:.12g}", "PropertyValue", name=name, value=e.at[name], unitText=unit,
+                      unitCode=unit)  # fmt: skip
+    low, high = e.ci95 or (None, None)
+    node = _node(
+        f"#{quote(folder.rpartition('/')[2], safe='')}-{number + 1}", "PropertyValue", value=e.value, unitText=e.unit,
+        unitCode=e.unit, name=f"{clean(e.symbol, 40)} {clean(e.coordinate, 40)}".strip(), minValue=low, maxValue=high,
+        description=kind_title(analysis.kind) + (" (simulated)" if analysis.simulated else ""),
+        measurementTechnique=clean(e.method, 120), valueReference=point and _ref(point["@id"]),
+    )  # fmt: skip
+    return node, point
