@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmabench.base.errors import RecordError
 from pmabench.bench.interface import CompiledBench
@@ -19,12 +20,14 @@ class Recorder(Protocol):
     """Takes samples and events: a run folder, or a recorder in memory for a dry run."""
 
     def append(
-        self, stream: str, time_ns: Any, columns: Mapping[str, Any], flags: Any, host_ns: int | None = None
+        self,
+        stream: str,
+        time_ns: NDArray[np.int64],
+        columns: Mapping[str, Any],
+        flags: NDArray[np.uint16],
+        host_ns: int | None = None,
     ) -> None:
-        """Record raw samples, unscaled: times [ns, int64] and flags [uint16] of shape (n,).
-
-        `host_ns` is the arrival of the newest [ns, bench time].
-        """
+        """Record raw samples, unscaled; `host_ns` is the arrival of the newest [ns, bench time]."""
         ...
 
     def event(self, kind: str, t: float, **data: Any) -> None:
