@@ -21,7 +21,7 @@ from pmabench_drivers.canbus.link import Link, Rows, Signals, open_adapter
 from pmabench_drivers.canbus.node import Node, Transducer
 from pmabench_drivers.canbus.options import READY, Options, read_options
 from pmabench_drivers.shared.device import HURRY, Driver, refuse_nonsense, stepped
-from pmabench_drivers.shared.link import JOIN, Cycle, Samples, opened
+from pmabench_drivers.shared.link import JOIN, Cycle, Samples
 from pmabench_drivers.shared.options import Reader
 
 CALL = 0.18
@@ -35,7 +35,7 @@ ROOM = 0.02
 """Largest distance of a drive from the start of a cyclic motion, as time at its highest speed [s]."""
 
 
-class CanBus(Driver):
+class CanBus(Driver[Link]):
     """Drives, transducers and DBC-described sensors on one bus, which only one program uses.
 
     Inputs are `NODE.position` (drive: count; transducer: um), `NODE.demand` (drive, count) and `MESSAGE.SIGNAL` (in the
@@ -58,7 +58,6 @@ class CanBus(Driver):
         self._rows = Rows((), self._row, 0)
         self._every, self._count = 0, 0
         self._armed = False
-        self._link: Link | None = None
         for name, node in self._options.nodes.items():
             made = (Drive if node.profile == 402 else Transducer)(device.name, name, node.number, self._send)
             self._nodes[name] = made
@@ -104,9 +103,7 @@ class CanBus(Driver):
         self._following.clear()
         self._every, self._armed = 0, False
         self._cycle.stop(JOIN)
-        link, self._link = self._link, None
-        if link is not None:
-            link.close()
+        self._hang_up()
 
     def _identity(self) -> Identity:
         nodes = list(self._nodes.values())
@@ -316,9 +313,6 @@ class CanBus(Driver):
         self._send(f.HEARTBEAT + self._options.own_node, bytes([f.OPERATIONAL]))
 
     # -- helpers --------------------------------------------------------------------------------------------------
-
-    def _opened(self) -> Link:
-        return opened(self._link, self._device.name)
 
     def _send(self, identifier: int, data: bytes = b"") -> None:
         self._opened().send(identifier, data)

@@ -83,7 +83,7 @@ class FestoCpxE(ModbusDevice):
     def _open(self, compare: Callable[[NamedLine, float], None]) -> Identity:
         self.close()
         line = self._new_line()
-        self._line, until = line, monotonic() + OPEN
+        self._link, until = line, monotonic() + OPEN
         self._settings, self._compared = dict.fromkeys(self._settings), compare == self._compare
         with self._closed_on_error():
             identity = line.identity(until)
@@ -114,7 +114,7 @@ class FestoCpxE(ModbusDevice):
 
     def _keep_alive(self) -> None:
         """Send a request while our watchdog is not armed; once it is, only the program prevents the time-out."""
-        line = self._line
+        line = self._link
         if self._armed or line is None:
             return
         try:

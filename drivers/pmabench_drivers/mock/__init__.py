@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import threading
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from pmabench.base.clock import Clock, RealClock, VirtualClock
 from pmabench.base.errors import DeviceError
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     AnySimulation: TypeAlias = Simulation | JointSimulation | PlatformSimulation
 
 
-class MockBench(Driver):
+class MockBench(Driver[Any]):
     """A bench with the simulated plant in it: streams, takes set-points, ramps and sines, and places loads.
 
     With the plant `joint` there are two muscles, with `platform` three: see `pmabench_drivers.mock.simulation`.
@@ -40,10 +40,11 @@ class MockBench(Driver):
 
     verified = "a simulation"
     read_options = staticmethod(read_options)
+    _link: AnySimulation | None
+    """The plant."""
 
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         super().__init__(device, clock)
-        self._opened: AnySimulation | None = None
         self._closed = threading.Event()
 
     def open(self) -> Identity:
@@ -55,7 +56,7 @@ class MockBench(Driver):
             memory = 0.0 if isinstance(self._clock, RealClock) else MEMORY
             several: dict[str, type[AnySimulation]] = {JOINT: JointSimulation, PLATFORM: PlatformSimulation}
             made = several.get(self._options.plant, Simulation)
-            self._opened = made(self._device, self._options, self._now(), memory)
+            self._link = made(self._device, self._options, self._now(), memory)
         except ValueError as error:
             raise DeviceError(self._device.name, str(error)) from error
         self._closed.clear()
@@ -64,7 +65,7 @@ class MockBench(Driver):
 
     def close(self) -> None:
         """Drop the plant."""
-        self._opened = None
+        self._link = None
         self._closed.set()
 
     def start(self, rate: float) -> float:
@@ -81,8 +82,8 @@ class MockBench(Driver):
 
     def stop(self) -> None:
         """Stop sampling."""
-        if self._opened is not None:
-            self._opened.stop()
+        if self._link is not None:
+            self._link.stop()
 
     def write(self, output: str, value: float) -> None:
         """Command a value [device units] at once."""
@@ -152,11 +153,9 @@ class MockBench(Driver):
 
     def _linked(self) -> tuple[AnySimulation, float]:
         """The simulation, if its link works, and the clock's time [s]."""
-        if self._opened is None:
-            raise DeviceError(self._device.name, "is not open")
-        now = self._now()
+        simulation, now = self._opened(), self._now()
         self._check_link(now)
-        return self._opened, now
+        return simulation, now
 
     def _check_link(self, now: float) -> None:
         """Apply simulated faults of the link: hang, or raise DeviceError."""

@@ -118,7 +118,7 @@ class Link:
         self._socket.close()
 
 
-class MockClient(Driver):
+class MockClient(Driver[Link]):
     """A bench whose simulated plant runs in real time in a separate process (`pmabench_drivers.mock.server`).
 
     Channels, outputs, dump valve, digital input and options are those of the driver `mock`
@@ -142,7 +142,6 @@ class MockClient(Driver):
             self._device = replace(device, options={**device.options, "log": log})
         self._address = parse_address(device.name, device.address)
         self._valves = {valve.output for valve in device.valves}
-        self._link: Link | None = None
         self._is_open = False
 
     # -- life -----------------------------------------------------------------------------------------------------
@@ -166,12 +165,7 @@ class MockClient(Driver):
     def close(self) -> None:
         """Disconnect from the plant, which stays as it is; may be called again."""
         self._is_open = False
-        self._drop()
-
-    def _drop(self) -> None:
-        link, self._link = self._link, None
-        if link is not None:
-            link.close()
+        self._hang_up()
 
     def _connect(self, role: str, by: float) -> tuple[Link, Identity]:
         link = Link(self._device.name, self._address, max(by - time.monotonic(), 1e-3))
@@ -217,7 +211,7 @@ class MockClient(Driver):
             return self._try(ask)
         except DeviceError as error:
             if error.__cause__ is not None:
-                self._drop()
+                self._hang_up()
             raise
 
     def _try(self, act: Callable[[], Answer]) -> Answer:

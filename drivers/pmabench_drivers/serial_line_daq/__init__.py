@@ -24,7 +24,7 @@ from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import Block, DeviceRecord, Identity
 from pmabench_drivers.shared.device import Led
-from pmabench_drivers.shared.link import JOIN, Samples, Still, Unanswered, always, opened, turn, who
+from pmabench_drivers.shared.link import JOIN, Samples, Still, Unanswered, always, turn, who
 from pmabench_drivers.shared.options import BAUDS, Reader, names_in
 from pmabench_drivers.shared.serial_port import SerialPort, Splitter, readable
 
@@ -247,7 +247,7 @@ class Link(SerialPort):
             waiting.put([fields[0], *fields[2:]])
 
 
-class SerialLineDaq(Led):
+class SerialLineDaq(Led[Link]):
     """A board with the program of `sketch`, or another with its protocol; its only option is `baud`.
 
     Inputs are `a0` to `a5` (counts) and `d0` to `d5` (levels), outputs `o0` to `o3` (counts) and `v0` to `v3` (valves).
@@ -266,7 +266,6 @@ class SerialLineDaq(Led):
         super().__init__(device, clock)
         self._columns = [index_of(channel.input, "a") or 0 for channel in device.channels]
         self._samples = Samples([channel.name for channel in device.channels])
-        self._link: Link | None = None
         self._has = dict.fromkeys(NAMES, 0)
         self._full_scale, self._shortest = 0, 1
         self._timeline: Timeline | None = None
@@ -294,9 +293,7 @@ class SerialLineDaq(Led):
         self._timeline, self._armed, self._failure = None, 0.0, None
         self._steps.note(None)
         self._before, self._samples = None, Samples([channel.name for channel in self._device.channels])
-        link, self._link = self._link, None
-        if link is not None:
-            link.close()
+        self._hang_up()
 
     def _identify(self, link: Link, deadline: float) -> Identity:
         while True:
@@ -454,9 +451,6 @@ class SerialLineDaq(Led):
         return {"watchdog": seconds, **dict(zip(("model", "serial"), about[2:4], strict=False))}
 
     # -- questions ------------------------------------------------------------------------------------------------
-
-    def _opened(self) -> Link:
-        return opened(self._link, self._device.name)
 
     def _ask(self, letter: str, *values: int, until: float = 0.0) -> int:
         """The number in the board's answer."""
