@@ -136,12 +136,12 @@ class State:
 class Truth:
     """The emulator's plant and the log of the emulated device; quantities are SI, by channel name."""
 
-    def __init__(self, record: DeviceRecord, emulator: Any, another: Callable[[], Any]) -> None:
-        self._record, self._emulator, self._another = record, emulator, another
+    def __init__(self, rig: Rig) -> None:
+        self._rig = rig
 
     @property
     def _plant(self) -> Any:
-        return self._emulator().plant
+        return self._rig.emulator.plant
 
     def now(self) -> Mapping[str, float]:
         """Present value of the quantity of each channel [SI]."""
@@ -153,7 +153,7 @@ class Truth:
 
     def coil(self, valve: ValveRecord) -> bool | None:
         """Last command to a valve: True if energised; None without one."""
-        entries = [e for e in self._emulator().log.of("switch", self._record.name) if e.get("valve") == valve.name]
+        entries = [entry for entry in self._rig.logged("switch") if entry.get("valve") == valve.name]
         return bool(entries[-1]["on"]) if entries else None
 
     def dump_open(self) -> bool:
@@ -162,12 +162,12 @@ class Truth:
 
     def bring(self, state: State) -> None:
         """Bring the plant to a state."""
-        plant = self._plant
-        if self._record.valves:
+        plant, record = self._plant, self._rig.record
+        if record.valves:
             plant.switch(on=True)
         plant.fail("supply_lost_at", over=state.supply)
         plant.command(state.pressure)
-        if any(output.quantity == "length" for output in self._record.outputs):
+        if any(output.quantity == "length" for output in record.outputs):
             return  # the device's own drive moves the end, and would trip if it were moved otherwise
         if "displacement_command" in self.now():
             plant.drive(state.position, SPEED)
@@ -180,14 +180,15 @@ class Truth:
 
     def by_hand(self, output: str, value: float) -> bool:
         """Change an output without the driver, by its keys or by a second driver; whether that is possible."""
-        own = getattr(self._emulator().devices[self._record.name], "by_hand", None)
+        rig = self._rig
+        own = getattr(rig.server, "by_hand", None)
         if own is not None:
             own(output, value)
             return True
-        if (another := self._another()) is None:
+        if not issubclass(rig.driver(), Rescue):
             return False
         try:
-            another.rescue(output, value)
+            rig.build(rig.record).rescue(output, value)
         except DeviceError:
             return False
         return True
@@ -206,6 +207,8 @@ class Rig:
         self.relays: list[Relay] = []
         self._lag = _Lag()
         self._owner = Owner(record.name)
+        self.truth = Truth(self)
+        """Actual state of plant and device."""
         self.device: Any = None
         self.identity: Any = None
         """Result of the last `open`."""
@@ -279,14 +282,6 @@ class Rig:
     def switch_off_watchdog(self) -> bool:
         """Switch the watchdog off at the emulated device itself; whether that is possible."""
         return bool(getattr(self.server, "switch_off_watchdog", bool)())
-
-    def truth(self) -> Truth:
-        """Source of the actual state of plant and device."""
-        return Truth(self.record, lambda: self.emulator, self._another)
-
-    def _another(self) -> Any:
-        """A second driver of the same device, not open, for its `rescue`; None if it has no such method."""
-        return self.build(self.record) if issubclass(self.driver(), Rescue) else None
 
     # -- the driver -----------------------------------------------------------------------------------------------
 

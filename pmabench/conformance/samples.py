@@ -13,7 +13,7 @@ from typing import Any
 
 from pmabench.base.quantities import show
 from pmabench.bench.interface import COMPUTER, Block, ChannelRecord
-from pmabench.conformance.rig import COLLECTS_WITHIN, Failed, Late, NotChecked, Rig, State, Truth
+from pmabench.conformance.rig import COLLECTS_WITHIN, Failed, Late, NotChecked, Rig, State
 from pmabench.guard.limits import to_device
 
 RATE = 50.0
@@ -246,16 +246,15 @@ def _ends(rig: Rig, found: Recording) -> None:
 
 def values(rig: Rig) -> str:
     """Every channel shows what the emulated plant has, in SI, in states far apart and while it moves."""
-    truth = rig.truth()
     with rig.opened():
         stamped = rig.identity.clock == COMPUTER
         rate = begin(rig)
-        known = {channel.name for channel in rig.record.channels} & {*truth.now()}
-        states = [_in_state(rig, truth, state, known) for state in STATES]
+        known = {channel.name for channel in rig.record.channels} & {*rig.truth.now()}
+        states = [_in_state(rig, state, known) for state in STATES]
         measured = [c for c in rig.record.channels if c.name in known and not c.name.endswith("_command")]
         checked = [channel.name for channel in measured if _agrees(channel, states)]
         seen = [channel for channel in measured if channel.name in checked]
-        moved = _moves(rig, truth, seen, rate, stamped=stamped)
+        moved = _moves(rig, seen, rate, stamped=stamped)
     agree = f"{', '.join(checked) or 'nothing'} as in the plant, in states far apart"
     agree += f"; {', '.join(moved)} also sample by sample on the move" if moved else ""
     outputs = {f"{output.name}_command" for output in rig.record.outputs}  # checked with the set-points
@@ -289,26 +288,26 @@ class _Seen:
     """Median deviation beyond the plant's values."""
 
 
-def _bring(rig: Rig, truth: Truth, state: State) -> float:
+def _bring(rig: Rig, state: State) -> float:
     """Bring the plant to a state, an end with the device's own drive; returns the time that this may take [s]."""
-    truth.bring(state)
+    rig.truth.bring(state)
     seconds = SETTLES
     for output in rig.record.outputs:
         if output.quantity == "length":
-            way = abs(state.position - truth.now()["displacement"])
+            way = abs(state.position - rig.truth.now()["displacement"])
             value = to_device(output, min(max(state.position, output.low), output.high))
             rig.call("write()", rig.device.write, output.output, value).good()
             seconds += way / SLOWEST
     return seconds
 
 
-def _in_state(rig: Rig, truth: Truth, state: State, known: set[str]) -> _Seen:
-    rig.pass_time(_bring(rig, truth, state))
+def _in_state(rig: Rig, state: State, known: set[str]) -> _Seen:
+    rig.pass_time(_bring(rig, state))
     rig.call("collect()", rig.device.collect).good(COLLECTS_WITHIN)
     found = record(rig, 0.3)
     if not found.times:
         raise Late("samples no longer come while the pressure changes")
-    grid = _grid(rig, truth, found)
+    grid = _grid(rig, found)
     shown, had, off = {}, {}, {}
     for channel in rig.record.channels:
         if channel.name in known:
@@ -336,23 +335,23 @@ def _agrees(channel: ChannelRecord, states: Sequence[_Seen]) -> bool:
     return max(had) - min(had) > DISTINCT * most
 
 
-def _moves(rig: Rig, truth: Truth, channels: Sequence[ChannelRecord], rate: float, *, stamped: bool) -> list[str]:
+def _moves(rig: Rig, channels: Sequence[ChannelRecord], rate: float, *, stamped: bool) -> list[str]:
     """Compare samples with the plant in motion; returns the channels that moved enough."""
-    rig.pass_time(_bring(rig, truth, _swept(0.0)))
+    rig.pass_time(_bring(rig, _swept(0.0)))
     rig.call("collect()", rig.device.collect).good(COLLECTS_WITHIN)
     found, began, due = Recording(rig.record.channels, stamped), rig.bench_clock.now(), 0.0
     while (since := rig.bench_clock.now() - began) < SWEEP:
-        truth.bring(_swept(since))
+        rig.truth.bring(_swept(since))
         if since >= due:
             rig.feed()
             collect(rig, found)
             if not due:
-                _bring(rig, truth, replace(_swept(since), position=0.02))
+                _bring(rig, replace(_swept(since), position=0.02))
             due += 0.1
         rig.wait(0.008)
     if not found.times:
         raise Late("samples no longer come while the pressure changes")
-    grid = _grid(rig, truth, found)
+    grid = _grid(rig, found)
     return [channel.name for channel in channels if _follows(channel, found, grid, max(1.0 / rate, 1.0 / RATE))]
 
 
@@ -362,12 +361,12 @@ def _swept(since: float) -> State:
     return State(360e3 - 300e3 * share, 0.02 - 0.018 * share, 210.0 - 200.0 * share)
 
 
-def _grid(rig: Rig, truth: Truth, found: Recording) -> list[tuple[float, Mapping[str, float]]]:
+def _grid(rig: Rig, found: Recording) -> list[tuple[float, Mapping[str, float]]]:
     """State of the plant around the samples: bench time [s], quantities."""
     moments, zero = found.moments(), rig.bench_clock.start
     first = moments[0] - WINDOW
     count = round((moments[-1] + WINDOW - first) / GRID)
-    return [(first + i * GRID, truth.at(zero + first + i * GRID)) for i in range(count + 1)]
+    return [(first + i * GRID, rig.truth.at(zero + first + i * GRID)) for i in range(count + 1)]
 
 
 def _follows(
