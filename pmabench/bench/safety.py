@@ -10,7 +10,7 @@ from collections.abc import Collection, Iterator
 from pmabench.base.quantities import CHANNEL_QUANTITY, show, without_number
 from pmabench.bench.channels import refuse_unsafe_order
 from pmabench.bench.compilation import Compilation
-from pmabench.bench.files.bench import LimitFile, SafeActionFile, WatchFile
+from pmabench.bench.files.safety import LimitFile, SafeActionFile, WatchFile
 from pmabench.bench.files.specimen import Reading
 from pmabench.bench.interface import (
     ChannelRecord,

@@ -9,7 +9,7 @@ from functools import cached_property
 
 from pmabench.base.quantities import in_words, show
 from pmabench.bench.compilation import Compilation
-from pmabench.bench.files.bench import SelfTestFile, SessionFile
+from pmabench.bench.files.session import SelfTestFile, SessionFile
 from pmabench.files.document import Location
 
 TOLERANCE = 1e-3

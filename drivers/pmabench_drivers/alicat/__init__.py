@@ -1,7 +1,7 @@
 """Alicat PC and PCD pressure controllers, over ASCII or Modbus RTU on a serial line.
 
-Here: options in the bench file, readings, the device interface; `ascii_link`, `modbus_link`: the two protocols with the
-same methods; `emulator`: the device for `pmabench emulate`.
+Here: options in the bench file, readings, the device interface; `ascii_link` (its data line: `layout`), `modbus_link`:
+the two protocols with the same methods; `emulator`: the device for `pmabench emulate`.
 
 Sources: Alicat, manual of standard flow and pressure devices, 02/2023 (Modbus registers, special commands, status bits;
 ASCII commands); Apex/Alicat PC manual, page 22 (set-points, data frame). The list of columns is parsed in the format
