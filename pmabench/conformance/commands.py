@@ -63,7 +63,7 @@ def close_enough(output: OutputRecord) -> float:
 
 def commanded(rig: Rig, output: OutputRecord) -> float:
     """Set-point of the plant's regulator or actuator [SI]; raises NotChecked without one."""
-    if (found := rig.truth.now().get(f"{output.name}_command")) is None:
+    if (found := rig.plant.quantities().get(f"{output.name}_command")) is None:
         raise NotChecked(f"the emulated plant has no {output.name} that is commanded")
     return float(found)
 
@@ -101,10 +101,10 @@ def refuse_position(rig: Rig, valve: ValveRecord, *, on: bool, after: str, by_it
 
     `by_itself`: the device has switched the valve without a command.
     """
-    if not by_itself and not _soon(rig, ARRIVES, lambda: rig.truth.coil(valve) is on):
+    if not by_itself and not _soon(rig, ARRIVES, lambda: rig.coil(valve) is on):
         raise Failed(f"{valve.name}: after {after} the device has it otherwise; is the valve inverted, or another one?")
     is_open = on != (valve.energised == "closed")
-    if valve is dump_of(rig.record.valves) and rig.truth.dump_open() is not is_open:
+    if valve is dump_of(rig.record.valves) and rig.plant.dump_open() is not is_open:
         words = {True: "open", False: "closed"}
         raise Failed(
             f"{valve.name}: after {after} it is {words[not is_open]} in the plant; {words[is_open]} is expected"
@@ -138,11 +138,11 @@ def set_points(rig: Rig) -> str:
 def _one_set_point(rig: Rig, output: OutputRecord, value: float, *, moves: bool) -> None:
     device, before = rig.device, len(sent(rig))
     others = {o.name: commanded(rig, o) for o in rig.record.outputs if o is not output}
-    coils = {valve.name: rig.truth.coil(valve) for valve in rig.record.valves}
+    coils = {valve.name: rig.coil(valve) for valve in rig.record.valves}
     si = show(float(output.scale.to_si(value)), output.quantity)
     rig.call(f"write({value:g})", device.write, output.output, value).nothing()
     if moves:
-        began = rig.truth.now()[f"{output.name}_command"]
+        began = rig.plant.quantities()[f"{output.name}_command"]
         _soon(rig, ARRIVES, lambda: abs(commanded(rig, output) - began) > close_enough(output))
         _travel(rig, output, value)
     if not reaches(rig, output, value):
@@ -154,7 +154,7 @@ def _one_set_point(rig: Rig, output: OutputRecord, value: float, *, moves: bool)
     for other in rig.record.outputs:
         if other.name in others and abs(commanded(rig, other) - others[other.name]) > close_enough(other):
             raise Failed(f"writing {output.name} has changed {other.name}; are these outputs swapped?")
-    if coils != {valve.name: rig.truth.coil(valve) for valve in rig.record.valves}:
+    if coils != {valve.name: rig.coil(valve) for valve in rig.record.valves}:
         raise Failed(f"writing {output.name} has switched a valve")
     held = rig.call("read_back()", device.read_back, output.output).good()
     if isinstance(held, bool) or not near(output, held, value):
@@ -186,10 +186,10 @@ def valves(rig: Rig) -> str:
     with rig.opened() as device:
         for valve in rig.record.valves:
             for on in (True, False, True, False):
-                others = {v.name: rig.truth.coil(v) for v in rig.record.valves if v is not valve}
+                others = {v.name: rig.coil(v) for v in rig.record.valves if v is not valve}
                 rig.call(f"switch(on={on})", device.switch, valve.output, on=on).nothing()
                 refuse_position(rig, valve, on=on, after=f"switch(on={on})")
-                if others != {v.name: rig.truth.coil(v) for v in rig.record.valves if v is not valve}:
+                if others != {v.name: rig.coil(v) for v in rig.record.valves if v is not valve}:
                     raise Failed(f"switching {valve.name} has switched another valve")
                 if (shown := rig.call("is_on()", device.is_on, valve.output).good()) is not on:
                     raise Failed(f"{valve.name} was switched {'on' if on else 'off'} and is_on() gives {shown!r}")
@@ -204,7 +204,7 @@ def inputs(rig: Rig) -> str:
     fixed = [lock.name for lock in rig.record.interlocks if "stop" not in lock.name]
     with rig.opened():
         for pressed in (False, True, False):
-            rig.truth.e_stop(pressed=pressed)
+            rig.plant.fail("e_stop_at", over=not pressed)
             rig.wait(0.1)  # unfed, as an answer may be kept from the last feed
             for _ in range(LONG_KNOWN):
                 _levels(rig, fixed, pressed=pressed)
@@ -256,7 +256,7 @@ def from_outside(rig: Rig) -> str:
                     unchecked.append(f"{valve.name} {way} (the emulator has no such change)")
                     continue
                 shown = rig.call("is_on()", device.is_on, valve.output).judged()
-                if not isinstance(shown, DeviceError) and shown is not bool(rig.truth.coil(valve)):
+                if not isinstance(shown, DeviceError) and shown is not bool(rig.coil(valve)):
                     raise Failed(
                         f"{valve.name} was switched off ({way}), and is_on() gives {shown!r}: it answers from memory; "
                         "ask the device at each call"
@@ -272,7 +272,7 @@ def _changes(rig: Rig, way: str, output: str, value: float) -> bool:
     if way == "after a restart":
         rig.restart()
     else:
-        done = rig.truth.by_hand(output, value)
+        done = rig.by_hand(output, value)
     rig.wait(0.1)
     return done
 

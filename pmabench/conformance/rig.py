@@ -10,7 +10,7 @@ import re
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -21,8 +21,17 @@ from typing import Any
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError, UsageError
 from pmabench.base.system import registered
-from pmabench.bench.interface import Device, DeviceRecord, Identity, Rescue, Stream, Supervised, ValveRecord, Watchdog
-from pmabench.bench.interface import Truth as Wiring
+from pmabench.bench.interface import (
+    Device,
+    DeviceRecord,
+    Identity,
+    Rescue,
+    Stream,
+    Supervised,
+    Truth,
+    ValveRecord,
+    Watchdog,
+)
 from pmabench.conformance.relay import Relay, SerialRelay, TcpRelay
 from pmabench.guard.owner import PATIENCE, Call, Owner
 
@@ -133,82 +142,19 @@ class State:
     supply: bool = True
 
 
-class Truth:
-    """The emulator's plant and the log of the emulated device; quantities are SI, by channel name."""
-
-    def __init__(self, rig: Rig) -> None:
-        self._rig = rig
-
-    @property
-    def _plant(self) -> Any:
-        return self._rig.emulator.plant
-
-    def now(self) -> Mapping[str, float]:
-        """Present value of the quantity of each channel [SI]."""
-        return dict(self._plant.quantities())
-
-    def at(self, moment: float) -> Mapping[str, float]:
-        """The same at a moment [s, monotonic]."""
-        return dict(self._plant.at(moment))
-
-    def coil(self, valve: ValveRecord) -> bool | None:
-        """Last command to a valve: True if energised; None without one."""
-        entries = [entry for entry in self._rig.logged("switch") if entry.get("valve") == valve.name]
-        return bool(entries[-1]["on"]) if entries else None
-
-    def dump_open(self) -> bool:
-        """Whether the dump valve is open in the plant."""
-        return bool(self._plant.dump_open())
-
-    def bring(self, state: State) -> None:
-        """Bring the plant to a state."""
-        plant, record = self._plant, self._rig.record
-        if record.valves:
-            plant.switch(on=True)
-        plant.fail("supply_lost_at", over=state.supply)
-        plant.command(state.pressure)
-        if any(output.quantity == "length" for output in record.outputs):
-            return  # the device's own drive moves the end, and would trip if it were moved otherwise
-        if "displacement_command" in self.now():
-            plant.drive(state.position, SPEED)
-        else:
-            plant.load(state.force, MASS)
-
-    def e_stop(self, *, pressed: bool) -> None:
-        """Press or release the emergency stop."""
-        self._plant.fail("e_stop_at", over=not pressed)
-
-    def by_hand(self, output: str, value: float) -> bool:
-        """Change an output without the driver, by its keys or by a second driver; whether that is possible."""
-        rig = self._rig
-        own = getattr(rig.server, "by_hand", None)
-        if own is not None:
-            own(output, value)
-            return True
-        if not issubclass(rig.driver(), Rescue):
-            return False
-        try:
-            rig.build(rig.record).rescue(output, value)
-        except DeviceError:
-            return False
-        return True
-
-
 class Rig:
     """The device of one record; `wiring` is the content of its truth file, if it has one.
 
     `relays`: where bytes can be damaged.
     """
 
-    def __init__(self, record: DeviceRecord, folder: Path, wiring: Wiring | None = None) -> None:
+    def __init__(self, record: DeviceRecord, folder: Path, wiring: Truth | None = None) -> None:
         self._folder, self._wiring = folder, wiring
         self.bench_clock = RealClock()
         self.asked = record
         self.relays: list[Relay] = []
         self._lag = _Lag()
         self._owner = Owner(record.name)
-        self.truth = Truth(self)
-        """Actual state of plant and device."""
         self.device: Any = None
         self.identity: Any = None
         """Result of the last `open`."""
@@ -272,6 +218,46 @@ class Rig:
     def server(self) -> Any:
         """The emulated device."""
         return self.emulator.devices[self.record.name]
+
+    # -- without the driver ---------------------------------------------------------------------------------------
+
+    @property
+    def plant(self) -> Any:
+        """The emulated plant; its quantities are SI, by channel name."""
+        return self.emulator.plant
+
+    def coil(self, valve: ValveRecord) -> bool | None:
+        """Last command to a valve: True if energised; None without one."""
+        entries = [entry for entry in self.logged("switch") if entry.get("valve") == valve.name]
+        return bool(entries[-1]["on"]) if entries else None
+
+    def bring(self, state: State) -> None:
+        """Bring the plant to a state."""
+        plant = self.plant
+        if self.record.valves:
+            plant.switch(on=True)
+        plant.fail("supply_lost_at", over=state.supply)
+        plant.command(state.pressure)
+        if any(output.quantity == "length" for output in self.record.outputs):
+            return  # the device's own drive moves the end, and would trip if it were moved otherwise
+        if "displacement_command" in plant.quantities():
+            plant.drive(state.position, SPEED)
+        else:
+            plant.load(state.force, MASS)
+
+    def by_hand(self, output: str, value: float) -> bool:
+        """Change an output by the device's keys or by a second driver; whether that is possible."""
+        own = getattr(self.server, "by_hand", None)
+        if own is not None:
+            own(output, value)
+            return True
+        if not issubclass(self.driver(), Rescue):
+            return False
+        try:
+            self.build(self.record).rescue(output, value)
+        except DeviceError:
+            return False
+        return True
 
     def restart(self) -> None:
         """Switch the emulated device off and on: its state is lost, the connection stays."""
@@ -424,7 +410,7 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-def _emulator(record: DeviceRecord, wiring: Wiring | None) -> Any:
+def _emulator(record: DeviceRecord, wiring: Truth | None) -> Any:
     """The project's emulator with this device in it; UsageError without one."""
     found = [point for point in registered("pmabench.emulators") if point.name == "plant"]
     if not found:

@@ -249,7 +249,7 @@ def values(rig: Rig) -> str:
     with rig.opened():
         stamped = rig.identity.clock == COMPUTER
         rate = begin(rig)
-        known = {channel.name for channel in rig.record.channels} & {*rig.truth.now()}
+        known = {channel.name for channel in rig.record.channels} & {*rig.plant.quantities()}
         states = [_in_state(rig, state, known) for state in STATES]
         measured = [c for c in rig.record.channels if c.name in known and not c.name.endswith("_command")]
         checked = [channel.name for channel in measured if _agrees(channel, states)]
@@ -290,11 +290,11 @@ class _Seen:
 
 def _bring(rig: Rig, state: State) -> float:
     """Bring the plant to a state, an end with the device's own drive; returns the time that this may take [s]."""
-    rig.truth.bring(state)
+    rig.bring(state)
     seconds = SETTLES
     for output in rig.record.outputs:
         if output.quantity == "length":
-            way = abs(state.position - rig.truth.now()["displacement"])
+            way = abs(state.position - rig.plant.quantities()["displacement"])
             value = to_device(output, min(max(state.position, output.low), output.high))
             rig.call("write()", rig.device.write, output.output, value).good()
             seconds += way / SLOWEST
@@ -341,7 +341,7 @@ def _moves(rig: Rig, channels: Sequence[ChannelRecord], rate: float, *, stamped:
     rig.call("collect()", rig.device.collect).good(COLLECTS_WITHIN)
     found, began, due = Recording(rig.record.channels, stamped), rig.bench_clock.now(), 0.0
     while (since := rig.bench_clock.now() - began) < SWEEP:
-        rig.truth.bring(_swept(since))
+        rig.bring(_swept(since))
         if since >= due:
             rig.feed()
             collect(rig, found)
@@ -366,7 +366,7 @@ def _grid(rig: Rig, found: Recording) -> list[tuple[float, Mapping[str, float]]]
     moments, zero = found.moments(), rig.bench_clock.start
     first = moments[0] - WINDOW
     count = round((moments[-1] + WINDOW - first) / GRID)
-    return [(first + i * GRID, rig.truth.at(zero + first + i * GRID)) for i in range(count + 1)]
+    return [(first + i * GRID, rig.plant.at(zero + first + i * GRID)) for i in range(count + 1)]
 
 
 def _follows(
