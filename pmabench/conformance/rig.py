@@ -21,17 +21,8 @@ from typing import Any
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError, UsageError
 from pmabench.base.system import registered
-from pmabench.bench.interface import (
-    Device,
-    DeviceRecord,
-    Identity,
-    Rescue,
-    Stream,
-    Supervised,
-    Truth,
-    ValveRecord,
-    Watchdog,
-)
+from pmabench.bench import interface as b
+from pmabench.bench.interface import DeviceRecord, Identity, Truth, ValveRecord
 from pmabench.conformance.relay import Relay, SerialRelay, TcpRelay
 from pmabench.guard.owner import PATIENCE, Call, Owner
 
@@ -251,7 +242,7 @@ class Rig:
         if own is not None:
             own(output, value)
             return True
-        if not issubclass(self.driver(), Rescue):
+        if not issubclass(self.driver(), b.Rescue):
             return False
         try:
             self.build(self.record).rescue(output, value)
@@ -307,7 +298,7 @@ class Rig:
                 "it gives simulated=False: it may drive a muscle, and nothing is commanded. Let the driver open only "
                 "the address of its record"
             )
-        if armed and self.record.watchdog and isinstance(self.device, Watchdog):
+        if armed and self.record.watchdog and isinstance(self.device, b.Watchdog):
             self.call("arm_watchdog()", self.device.arm_watchdog, self.record.watchdog).good()
             self._armed = True
         return identity
@@ -319,10 +310,10 @@ class Rig:
 
     def shut(self) -> None:
         """Close the driver, if there is one, and disarm its watchdog."""
-        device: Device | None = self.device
+        device: b.Device | None = self.device
         self.device = None
         if device is not None:
-            if self._armed and isinstance(device, Watchdog):
+            if self._armed and isinstance(device, b.Watchdog):
                 self._armed = False
                 self.call("disarm_watchdog()", device.disarm_watchdog).judged()
             self.call("close()", device.close).judged(COLLECTS_WITHIN)
@@ -356,7 +347,7 @@ class Rig:
         asked += [("read_back()", partial(device.read_back, output.output)) for output in record.outputs]
         asked += [("is_on()", partial(device.is_on, valve.output)) for valve in record.valves]
         asked += [("level()", partial(device.level, lock.input)) for lock in record.interlocks]
-        asked += [("held()", device.held)] if isinstance(device, Supervised) else []
+        asked += [("held()", device.held)] if isinstance(device, b.Supervised) else []
         return asked + ([("collect()", device.collect)] if self.streams() else [])
 
     def pass_time(self, seconds: float) -> None:
@@ -392,7 +383,7 @@ class Rig:
 
     def streams(self) -> bool:
         """Whether the device has channels that it samples."""
-        return bool(self.record.channels) and issubclass(self.driver(), Stream)
+        return bool(self.record.channels) and issubclass(self.driver(), b.Stream)
 
 
 def open_files() -> int:
