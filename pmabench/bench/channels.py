@@ -15,7 +15,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from pmabench.base.errors import InvalidFile, did_you_mean
+from pmabench.base.errors import InvalidFile, Problem, did_you_mean
 from pmabench.base.quantities import CHANNEL_QUANTITY, show
 from pmabench.bench import interface as b
 from pmabench.bench.compilation import Compilation
@@ -167,30 +167,28 @@ def read_calibration(path: Path, quantity: str) -> Calibration:
     """Read the calibration file of a channel that measures `quantity`; raises `InvalidFile` with every problem."""
     document = read_document(path)
     file = validate(CalibrationFile, document)
-    problems = []
-    raw_unit = file.points[0][0][1]
-    raw: list[float] = []
-    value: list[float] = []
+    problems: list[Problem] = []
+    raw_unit, raw = file.points[0][0][1], [reading[0] for reading, _ in file.points]
     if file.id != path.stem:
         raise InvalidFile([document.problem(("id",), f'the id "{file.id}" is not the name of the file, "{path.stem}"')])
     if file.quantity != quantity:
         raise InvalidFile([document.problem(("quantity",), f"is of {file.quantity}, the channel measures {quantity}")])
-    for index, (reading, reference) in enumerate(file.points):
+
+    def si(reading: tuple[float, str], *at: str | int) -> float:
+        try:
+            return reading[0] * unit_factor(reading[1], quantity)
+        except ValueError as error:
+            problems.append(document.problem(at, str(error)))
+            return 0.0
+
+    for index, (reading, _) in enumerate(file.points):
         if reading[1] != raw_unit:
             problems.append(document.problem(("points", index, 0), f"all readings in one unit, here {raw_unit}"))
-        raw.append(reading[0])
-        try:
-            value.append(reference[0] * unit_factor(reference[1], quantity))
-        except ValueError as error:
-            problems.append(document.problem(("points", index, 1), str(error)))
+    value = [si(reference, "points", index, 1) for index, (_, reference) in enumerate(file.points)]
     if file.valid_until is not None and file.valid_until < file.date:
         problems.append(document.problem(("valid_until",), "ends before the calibration was made"))
-    try:
-        uncertainty = file.expanded_uncertainty[0] * unit_factor(file.expanded_uncertainty[1], quantity)
-        if uncertainty < 0:
-            raise ValueError("an uncertainty is not below zero")
-    except ValueError as error:
-        problems.append(document.problem(("expanded_uncertainty",), str(error)))
+    if (uncertainty := si(file.expanded_uncertainty, "expanded_uncertainty")) < 0:
+        problems.append(document.problem(("expanded_uncertainty",), "an uncertainty is not below zero"))
     if problems:
         raise InvalidFile(problems)
     try:

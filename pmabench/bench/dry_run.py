@@ -102,16 +102,15 @@ def as_expected(expected: ExpectedFile, specimen: SpecimenFile, highest: float, 
     """
     points = sorted(expected.points, key=lambda point: point.pressure)
     highest = max(points[-1].pressure, highest)
-    curves: dict[str, Any] = {}
-    for symbol in ("K", "B_c", "B_r"):
-        values = [[point.pressure, getattr(point, symbol)] for point in points]
-        curves[symbol] = {"points": _to(0.0, values) + _to(highest, values)}
+    low = [(0.0, points[0])] if points[0].pressure > 0 else []
+    high = [(highest, points[-1])] if highest > points[-1].pressure else []
+    at = [*low, *((point.pressure, point) for point in points), *high]
     numbers = {
         **_common(specimen, highest, "expected"),
         "law": "three-element",
         "stop": specimen.limits.contraction * specimen.nominal_length * 1.2,
         "F_ce": {"points": _force(points, highest)},
-        **curves,
+        **{symbol: {"points": [[P, getattr(point, symbol)] for P, point in at]} for symbol in ("K", "B_c", "B_r")},
         "friction": {"F_s": 1.5 * expected.F_c, "F_c": expected.F_c, "speed": 1e-3},
         "diameter": 0.0,
         "braid_angle": 0.0,
@@ -207,13 +206,6 @@ def _coefficients(surface: Surface, specimen: SpecimenFile, highest: float, sour
         for p, f, k in zip(P.tolist(), force.tolist(), K.tolist(), strict=True)
     ]
     return ExpectedFile.model_construct(source=source, F_c=FRICTION * float(np.median(force)), points=points)
-
-
-def _to(end: float, values: list[list[float]]) -> list[list[float]]:
-    """Extend a table to `end`: [end, value at the nearest point] at the lower end, the whole table at the upper end."""
-    if end <= values[0][0]:
-        return [[end, values[0][1]]] if end < values[0][0] else []
-    return [*values, *([[end, values[-1][1]]] if end > values[-1][0] else [])]
 
 
 def _force(points: list[Any], highest: float) -> list[list[float]]:
