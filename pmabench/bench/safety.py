@@ -51,6 +51,8 @@ RATE_OF = {
     "torque": "torque rate",
 }
 """Quantity -> its rate of change."""
+BOUNDS = {"rate": "faster_than", "following": "more_than", "burst": "falls"}
+"""Kind of watch -> its key for what it allows at most."""
 ENDS = ("stop", "vent")
 """Actions that release the pressure."""
 
@@ -267,30 +269,25 @@ def _watch(c: Compilation, index: int, entry: WatchFile) -> TripRecord | None:
     delay, window = entry.for_ or 0.0, entry.within or 0.0
     low: float | None = None
     high: float | None = None
-    if kind == "rate":
-        high = _above_zero(c, entry.faster_than, RATE_OF[quantity], (*at, "faster_than"))
-    elif kind == "following":
-        high = _above_zero(c, entry.more_than, quantity, (*at, "more_than"))
-        if name not in c.bench.set_points:
-            c.fault(
-                (*at, kind), f'nothing commands "{name}"; what is commanded here: {", ".join(c.outputs) or "nothing"}'
-            )
-    elif kind == "burst":
-        high = _above_zero(c, entry.falls, quantity, (*at, "falls"))
-        if high is not None and high >= channel.high - channel.low:
-            c.fault((*at, "falls"), "is more than the channel can measure: it would never be seen")
-    elif kind == "slack":
-        low = c.si(entry.below, quantity, (*at, "below")) if entry.below else None
-        if low is not None:
-            _inside(c, (*at, "below"), low, channel)
+    if bound := BOUNDS.get(kind):
+        rate_or_value = RATE_OF[quantity] if kind == "rate" else quantity
+        high = _above_zero(c, getattr(entry, bound), rate_or_value, (*at, bound))
+        if kind == "following" and name not in c.bench.set_points:
+            commanded = ", ".join(c.outputs) or "nothing"
+            c.fault((*at, kind), f'nothing commands "{name}"; what is commanded here: {commanded}')
+        elif kind == "burst" and high >= channel.high - channel.low:
+            c.fault((*at, bound), "is more than the channel can measure: it would never be seen")
+    elif entry.below:
+        low = c.si(entry.below, quantity, (*at, "below"))
+        _inside(c, (*at, "below"), low, channel)
     if kind in {"stale", "frozen"} and delay <= 0:
         c.fault((*at, "for"), "a time above zero is expected: every channel is silent between two samples")
     return TripRecord(name, low, high, delay, entry.action, c.place(*at), kind.replace("_", "-"), window)
 
 
-def _above_zero(c: Compilation, reading: Reading | None, quantity: str, at: Location) -> float | None:
+def _above_zero(c: Compilation, reading: Reading, quantity: str, at: Location) -> float:
     before = len(c.problems)
-    value = c.si(reading, quantity, at) if reading is not None else 0.0
+    value = c.si(reading, quantity, at)
     if value <= 0 and len(c.problems) == before:
         c.fault(at, "a value above zero is expected")
     return value

@@ -184,18 +184,17 @@ class CanBus(Driver[Link]):
 
     def _refuse_trouble(self) -> None:
         """Raise DeviceError with the first error, if there is one."""
-        name = self._device.name
-        if (link := self._link) is None or link.gone:
-            raise DeviceError(name, link.gone if link else "is not open")
+        if gone := self._opened().gone:
+            raise self._error(gone)
         for node in self._nodes.values():
             if trouble := node.trouble():
-                raise DeviceError(name, trouble, node.name)
-        self._cycle.refuse(name, "sending")
+                raise self._error(trouble, node.name)
+        self._cycle.refuse(self._device.name, "sending")
         if self._rows.in_a_row * self._options.sync * 3 > PATIENCE:
             silent = [node.name for node in self._nodes.values() if self._rows.missing() & set(node.mapped)]
-            raise DeviceError(name, f"no answer to SYNC from {', '.join(silent) or 'a node'} for {PATIENCE:g} s")
+            raise self._error(f"no answer to SYNC from {', '.join(silent) or 'a node'} for {PATIENCE:g} s")
         if self._every and (stale := self._signals.stale()):
-            raise DeviceError(name, f"{stale} did not come for {self._options.slowest:g} s; is its sensor on?", stale)
+            raise self._error(f"{stale} did not come for {self._options.slowest:g} s; is its sensor on?", stale)
 
     # -- the sending thread ---------------------------------------------------------------------------------------
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field, replace
 from time import monotonic
 
 from pmabench.base.clock import Clock
-from pmabench.base.errors import DeviceError
+from pmabench.base.errors import DeviceError as DeviceError
 from pmabench.bench.interface import EMULATED, UNPROVEN, DeviceRecord, Identity
 from pmabench_drivers.shared.link import Pace, who
 from pmabench_drivers.shared.options import Reader, option
@@ -335,7 +335,7 @@ class Dataq(SerialStream):
             port.send(STOP)
             if port.receive(lambda got: got.endswith(STOP), ANSWER).endswith(STOP):
                 return
-        raise DeviceError(self._device.name, 'did not answer "stop": is it in its CDC mode?')
+        raise self._error('did not answer "stop": is it in its CDC mode?')
 
     def _ask(self, command: str) -> str:
         """Send a command, once more where no echo of it comes; the answer without the echo.
@@ -357,16 +357,16 @@ class Dataq(SerialStream):
                 return line.removeprefix(command).strip()
         text = data.decode("ascii", "replace").strip()
         heard = f'"{text[:40]}"' if data else "nothing"
-        raise DeviceError(self._device.name, f'answered {heard} to "{command}"')
+        raise self._error(f'answered {heard} to "{command}"')
 
     def _identity(self) -> Identity:
         maker, model = self._ask("info 0"), self._ask("info 1")
         expected = self._options.model.name
         shown = model.removeprefix(UNPROVEN).removeprefix(EMULATED).removeprefix("DI-")
         if maker != "DATAQ" or shown != expected.removeprefix("DI-"):
-            raise DeviceError(self._device.name, f'is "{maker[:20]} {model[:30]}", and the bench file says {expected}')
+            raise self._error(f'is "{maker[:20]} {model[:30]}", and the bench file says {expected}')
         firmware, serial, dividend = self._ask("info 2"), self._ask("info 6"), self._ask("info 9")
         if not dividend.isdecimal() or not 1_000_000 <= int(dividend) <= 1_000_000_000:
-            raise DeviceError(self._device.name, f'reports "{dividend[:20]}" as the clock that its rate divides')
+            raise self._error(f'reports "{dividend[:20]}" as the clock that its rate divides')
         self._dividend = int(dividend)
         return who("DATAQ", model, serial[:40], firmware[:40])

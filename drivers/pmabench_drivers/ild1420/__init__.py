@@ -278,7 +278,7 @@ class Ild1420(Rated[SerialPort], SerialStream):
                 break
         else:
             heard = f"{len(data)} bytes without the end of an answer" if data else "nothing"
-            raise DeviceError(self._device.name, f'sent {heard} when it was asked "{command}"')
+            raise self._error(f'sent {heard} when it was asked "{command}"')
         refused = _ERROR.search(answer) if command != "OUTPUT NONE" else None
         if refused:
             text = refused[0].decode("ascii", "replace").strip()
@@ -288,10 +288,10 @@ class Ild1420(Rated[SerialPort], SerialStream):
     def _identity(self, fields: dict[str, str]) -> Identity:
         name, expected = fields.get("Name", ""), self._options.range
         if not name.removeprefix(UNPROVEN).removeprefix(EMULATED).startswith("ILD1420"):
-            raise DeviceError(self._device.name, f'is "{name[:40]}" and no ILD1420')
+            raise self._error(f'is "{name[:40]}" and no ILD1420')
         span = re.fullmatch(r"(\d+(?:\.\d+)?) *mm", fields.get("Measuring range", ""))
         if span is None or float(span[1]) != expected:
             has = fields.get("Measuring range", "")[:20] or "without a range that it reports"
-            raise DeviceError(self._device.name, f"is a sensor of {has}, and the bench file says {expected} mm")
+            raise self._error(f"is a sensor of {has}, and the bench file says {expected} mm")
         serial, version = (fields.get(key, "")[:40] for key in ("Serial", "Version"))
         return who("Micro-Epsilon", name[:60], serial, version)

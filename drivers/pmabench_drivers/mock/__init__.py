@@ -7,12 +7,13 @@ in real time.
 
 from __future__ import annotations
 
-import math
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from pmabench.base.clock import Clock, RealClock, VirtualClock
-from pmabench.base.errors import DeviceError
+from pmabench.base.errors import DeviceError as DeviceError
 from pmabench.bench.interface import Block, DeviceRecord, Identity, Load, OutputRecord, Segment
 from pmabench_drivers.mock.options import E_STOP, JOINT, PLATFORM, output_of, read_options
 from pmabench_drivers.shared.device import Driver, refuse_nonsense
@@ -52,13 +53,11 @@ class MockBench(Driver[Any]):
         from pmabench_drivers.mock.sampled import MEMORY
         from pmabench_drivers.mock.simulation import JointSimulation, PlatformSimulation, Simulation
 
-        try:
+        with self._refused():
             memory = 0.0 if isinstance(self._clock, RealClock) else MEMORY
             several: dict[str, type[AnySimulation]] = {JOINT: JointSimulation, PLATFORM: PlatformSimulation}
             made = several.get(self._options.plant, Simulation)
             self._link = made(self._device, self._options, self._now(), memory)
-        except ValueError as error:
-            raise DeviceError(self._device.name, str(error)) from error
         self._closed.clear()
         options = self._options
         return Identity("pmabench", f"mock {options.plant} {options.preset}", str(options.seed), "1", simulated=True)
@@ -70,8 +69,7 @@ class MockBench(Driver[Any]):
 
     def start(self, rate: float) -> float:
         """Start sampling: sample 0 is taken now, sample k at k / rate later; any rate above 0 [Hz] is kept exactly."""
-        if not 0 < rate < math.inf:
-            raise DeviceError(self._device.name, f"cannot sample at {rate} Hz")
+        self._refuse_rate(rate)
         self.simulation().start(rate)
         return rate
 
@@ -114,10 +112,8 @@ class MockBench(Driver[Any]):
     def pulse(self, output: str, seconds: float) -> None:
         """Open a valve of a platform for `seconds` from now."""
         self._valve(output)
-        try:
+        with self._refused(output):
             self.simulation().pulse(output, seconds)
-        except ValueError as error:
-            raise DeviceError(self._device.name, str(error), output) from error
 
     def is_on(self, output: str) -> bool:
         """Whether a valve is energised."""
@@ -134,10 +130,16 @@ class MockBench(Driver[Any]):
         self.simulation().place(load)
 
     def _command(self, output: str, segment: Segment, record: OutputRecord) -> None:
-        try:
+        with self._refused(output):
             self.simulation().command(output, segment, record.scale)
+
+    @contextmanager
+    def _refused(self, output: str = "") -> Iterator[None]:
+        """Raise what the plant refuses as DeviceError."""
+        try:
+            yield
         except ValueError as error:
-            raise DeviceError(self._device.name, str(error), output) from error
+            raise self._error(str(error), output) from error
 
     def _valve(self, output: str) -> None:
         self._known("valve", output, (valve.output for valve in self._device.valves))
@@ -162,9 +164,9 @@ class MockBench(Driver[Any]):
         faults = self._options.faults
         if faults.hang_at is not None and now >= faults.hang_at:
             self._closed.wait()
-            raise DeviceError(self._device.name, "closed while it did not answer (simulated fault)")
+            raise self._error("closed while it did not answer (simulated fault)")
         if faults.lost_at is not None and now >= faults.lost_at:
-            raise DeviceError(self._device.name, "link lost (simulated fault)")
+            raise self._error("link lost (simulated fault)")
 
 
 def _moment(t: float) -> float:

@@ -154,7 +154,7 @@ class MockClient(Driver[Link]):
         except ConnectionRefusedError as refused:
             if not self._service.start:
                 where = ":".join(map(str, self._address))
-                raise DeviceError(self._device.name, f"nobody listens at {where}") from refused
+                raise self._error(f"nobody listens at {where}") from refused
             self._start_process()
             link, identity = self._try(lambda: self._connect("client", time.monotonic() + START_WITHIN))
         except (OSError, ValueError) as error:
@@ -190,16 +190,16 @@ class MockClient(Driver[Link]):
                 _, said = process.communicate(json.dumps(asdict(self._device)).encode(), START_WITHIN)
             except subprocess.TimeoutExpired as error:
                 process.kill()
-                raise DeviceError(self._device.name, f"its process did not start in {START_WITHIN:g} s") from error
+                raise self._error(f"its process did not start in {START_WITHIN:g} s") from error
         message = said.decode(errors="replace").strip()
         if message and "cannot serve at" not in message:  # another program may have started it at the same moment
-            raise DeviceError(self._device.name, message.splitlines()[-1].removeprefix(f"{self._device.name}: "))
+            raise self._error(message.splitlines()[-1].removeprefix(f"{self._device.name}: "))
 
     # -- questions ------------------------------------------------------------------------------------------------
 
     def _ask(self, do: str, **fields: Any) -> Message:
         if not self._is_open:
-            raise DeviceError(self._device.name, "is not open")
+            raise self._error("is not open")
         by = time.monotonic() + PATIENCE
 
         def ask() -> Message:
@@ -223,10 +223,10 @@ class MockClient(Driver[Link]):
 
     def _failure(self, error: Exception) -> DeviceError:
         if isinstance(error, TimeoutError):
-            return DeviceError(self._device.name, "did not answer in time")
+            return self._error("did not answer in time")
         if isinstance(error, OSError):
-            return DeviceError(self._device.name, f"link lost ({error.strerror or error})")
-        return DeviceError(self._device.name, f"answered what cannot be read ({error})")
+            return self._error(f"link lost ({error.strerror or error})")
+        return self._error(f"answered what cannot be read ({error})")
 
     def _value(self, do: str, **fields: Any) -> Any:
         return self._ask(do, **fields)[0].get("value")
