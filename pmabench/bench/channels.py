@@ -89,23 +89,17 @@ def _refuse_without_valves(c: Compilation) -> None:
         for kind in COUNTERPART:
             name = f"{kind}_{number}"
             if name not in valves or not valves[name].longest:
-                what = (
-                    f'lacks the valve "{name}" that opens in pulses; add it with "energised: open" and "pulse: 20 ms"'
-                )
-                c.fault(("outputs", name) if name in valves else ("outputs",), what)
+                at = ("outputs", name) if name in valves else ("outputs",)
+                remedy = 'add it with "energised: open" and "pulse: 20 ms"'
+                c.fault(at, f'lacks the valve "{name}" that opens in pulses; {remedy}')
     if SUPPLY_VALVE not in valves or valves[SUPPLY_VALVE].energised != "open":
-        c.fault(
-            ("outputs", SUPPLY_VALVE) if SUPPLY_VALVE in valves else ("outputs",),
-            f'lacks "{SUPPLY_VALVE}", which shuts the air off before the fill valves without power (energised: open): '
-            "a muscle whose fill valve is stuck open cannot be emptied while the supply is on",
-        )
+        at = ("outputs", SUPPLY_VALVE) if SUPPLY_VALVE in valves else ("outputs",)
+        what = f'"{SUPPLY_VALVE}", which shuts the air off before the fill valves without power (energised: open)'
+        c.fault(at, f"lacks {what}: a muscle whose fill valve is stuck open cannot be emptied while the supply is on")
     if not c.bench.switched_dump:
-        c.fault(
-            ("outputs",),
-            'lacks dumps: "dump_valve" for all muscles, or "dump_valve_1" and so on, open without power (energised: '
-            "closed) and four times as wide as a fill valve; an exhaust valve cannot empty a muscle whose fill valve "
-            "is stuck open",
-        )
+        which = '"dump_valve" for all muscles, or "dump_valve_1" and so on, open without power (energised: closed)'
+        why = "an exhaust valve cannot empty a muscle whose fill valve is stuck open"
+        c.fault(("outputs",), f"lacks dumps: {which} and four times as wide as a fill valve; {why}")
 
 
 def refuse_unsafe_order(c: Compilation, actions: tuple[b.SafeAction, ...]) -> None:

@@ -129,10 +129,8 @@ def of_specimen(specimen: SpecimenFile, highest: float) -> PredictedMuscle:
         angle = specimen.braid_angle if specimen.braid_angle is not None else BRAID_ANGLE
         surface, factors = braid_surface(specimen.inner_diameter, angle), BRAID_FACTORS
         assumed = "" if specimen.braid_angle is not None else " (assumed)"
-        source = (
-            f"a braid of {show(specimen.inner_diameter, 'length')} and {show(angle, 'angle')}{assumed}, of which a"
-            " muscle has between half and all of the force; friction and damping assumed"
-        )
+        braid = f"a braid of {show(specimen.inner_diameter, 'length')} and {show(angle, 'angle')}{assumed}"
+        source = f"{braid}, of which a muscle has between half and all of the force; friction and damping assumed"
     return by_surface(surface, specimen, highest, source, factors)
 
 
@@ -326,16 +324,9 @@ def options_of(muscle: PredictedMuscle, mounted: Mounted) -> dict[str, Any]:
     """Options of the mock driver for a predicted muscle; sensor noise is in proportion to the channels' ranges."""
     if mounted.bench_file.muscles:
         return muscle.numbers
-    noise = {
-        channel.name: NOISE * (channel.high - channel.low)
-        for channel in mounted.bench.channels
-        if channel.name in ("pressure", "displacement", "force")
-    }
-    numbers = {
-        **muscle.numbers,
-        "noise": {name: noise.get(name, 0.0) for name in ("pressure", "displacement", "force")},
-    }
-    return {"plant": numbers, "carriage": mounted.bench.carriage or 0.5}
+    spans = {channel.name: channel.high - channel.low for channel in mounted.bench.channels}
+    noise = {name: NOISE * spans.get(name, 0.0) for name in ("pressure", "displacement", "force")}
+    return {"plant": {**muscle.numbers, "noise": noise}, "carriage": mounted.bench.carriage or 0.5}
 
 
 def highest_pressure(mounted: Mounted) -> float:
@@ -388,18 +379,14 @@ def several(mounted: Mounted) -> tuple[dict[str, Any], str]:
     elif file.joint is not None:
         options = {"plant": "joint", "built": {**muscle, **_joint(mounted)}}
     else:
-        raise UsageError(
-            f'"{file.name}" has several muscles that turn neither a joint nor a platform, and nothing else of several '
-            "muscles can be simulated: check without --simulate, which still checks limits and times of the plan"
-        )
+        what = f'"{file.name}" has several muscles that turn neither a joint nor a platform'
+        remedy = "check without --simulate, which still checks limits and times of the plan"
+        raise UsageError(f"{what}, and nothing else of several muscles can be simulated: {remedy}")
     options["free_end"] = "actuator" if driven(mounted) else "weights"
     assumed = "" if specimen.braid_angle is not None else " (assumed)"
-    source = (
-        f"{len(file.muscles)} muscles of paper 3 of {show(specimen.inner_diameter, 'length')} and "
-        f"{show(angle, 'angle')}{assumed}, of whose force a muscle has between half and all; hysteresis, damping, "
-        "inertia, regulators and valves assumed"
-    )
-    return options, source
+    braid = f"{show(specimen.inner_diameter, 'length')} and {show(angle, 'angle')}{assumed}"
+    source = f"{len(file.muscles)} muscles of paper 3 of {braid}, of whose force a muscle has between half and all"
+    return options, f"{source}; hysteresis, damping, inertia, regulators and valves assumed"
 
 
 def _joint(mounted: Mounted) -> Mapping[str, float]:
@@ -407,9 +394,8 @@ def _joint(mounted: Mounted) -> Mapping[str, float]:
     found = {} if joint is None else {"pulley": joint.pulley, "contraction": joint.contraction}
     numbers = {name: value for name, value in found.items() if value is not None}
     if missing := sorted(set(found) - set(numbers)):
-        raise UsageError(
-            f'"{mounted.bench.name}" does not say on which radius its muscles pull and how far they are contracted at '
-            f"angle 0 ({' and '.join(missing)} missing), and a joint cannot be simulated without: add "
-            '"pulley: 25 mm, contraction: 10 %" with your numbers to "joint" in the bench file'
-        )
+        what = "does not say on which radius its muscles pull and how far they are contracted at angle 0"
+        lacks = f"{what} ({' and '.join(missing)} missing), and a joint cannot be simulated without"
+        remedy = 'add "pulley: 25 mm, contraction: 10 %" with your numbers to "joint" in the bench file'
+        raise UsageError(f'"{mounted.bench.name}" {lacks}: {remedy}')
     return numbers

@@ -140,10 +140,9 @@ def _beyond_the_law(document: Document, file: DaerdenFile) -> Iterator[Problem]:
 def _beyond_paper_2(document: Document, file: ContractorFile) -> Iterator[Problem]:
     """Problems outside the validity of a contractor's formulas (paper 2 eqs. 8-9)."""
     if file.highest_pressure > PAPER_2 * (1 + 1e-9):
-        known_range = f"paper 2's contractors are known up to {show(PAPER_2, 'pressure')}"
-        yield document.problem(
-            ("highest_pressure",), f"{known_range}, not to {show(file.highest_pressure, 'pressure')}"
-        )
+        known, given = show(PAPER_2, "pressure"), show(file.highest_pressure, "pressure")
+        text = f"paper 2's contractors are known up to {known}, not to {given}"
+        yield document.problem(("highest_pressure",), text)
     a, b = 3 / tan(file.braid_angle) ** 2, 1 / sin(file.braid_angle) ** 2
     furthest = (1 - sqrt(b / a)) / (1 + exp(-file.highest_pressure / 1e5))
     if file.reach[1] > furthest:
@@ -223,10 +222,8 @@ class _Curves:
             return self._si(reading, "pressure", at) / pressure
 
         breaks = [printed(edge, (symbol, "breaks", i), 0.0) for i, edge in enumerate(given.breaks or [])]
-        centre, scale = (
-            printed(given.centre, (symbol, "centre"), 0.0),
-            printed(given.scale, (symbol, "scale"), 1.0),
-        )
+        centre = printed(given.centre, (symbol, "centre"), 0.0)
+        scale = printed(given.scale, (symbol, "scale"), 1.0)
         low = high = None
         if given.domain is not None:
             low, high = (printed(end, (symbol, "domain", i), 0.0) for i, end in enumerate(given.domain))

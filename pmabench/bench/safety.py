@@ -145,21 +145,15 @@ def _bound(c: Compilation, name: str, reading: Reading | None, key: str) -> floa
 
 def _inside(c: Compilation, at: Location, value: float, channel: ChannelRecord) -> None:
     """Require a trip inside the channel's range, and not far outside the calibrated one."""
-    quantity = channel.quantity
+    quantity, trip = channel.quantity, f"the trip {show(value, channel.quantity)}"
     if not channel.low < value < channel.high:
         span = f"{show(channel.low, quantity)} to {show(channel.high, quantity)}"
-        c.fault(
-            at, f"the trip {show(value, quantity)} is not inside the channel's range, {span}: it would never be seen"
-        )
+        c.fault(at, f"{trip} is not inside the channel's range, {span}: it would never be seen")
     elif (beyond := _beyond(c, channel, value)) > EXTRAPOLATED:
         low, high = c.calibrated[channel.name]
-        most = show(EXTRAPOLATED * (high - low), quantity)
-        c.fault(
-            at,
-            f"the trip {show(value, quantity)} is not inside the calibration {channel.calibration.id}, "
-            f"{show(low, quantity)} to {show(high, quantity)}, nor within {most} of it: calibrate with points nearer "
-            "to the trip, or move the trip nearer to them",
-        )
+        span, most = f"{show(low, quantity)} to {show(high, quantity)}", show(EXTRAPOLATED * (high - low), quantity)
+        off = f"{trip} is not inside the calibration {channel.calibration.id}, {span}, nor within {most} of it"
+        c.fault(at, f"{off}: calibrate with points nearer to the trip, or move the trip nearer to them")
     elif beyond > 0:
         known = show(channel.calibration.uncertainty(value) + _extrapolation(c, channel, value), quantity)
         c.extrapolated.append(f"{show(value, quantity)} of {channel.name} ({channel.calibration.id}; +-{known} there)")
@@ -248,11 +242,9 @@ def _supply(c: Compilation) -> Iterator[TripRecord]:
     if limit is not None and limit.trip_low is not None:
         given = _bound(c, "supply", limit.trip_low, "trip_low") or 0.0
         if given < least:
-            c.fault(
-                ("limits", "supply", "trip_low"),
-                f"must lie at least {show(SUPPLY_MARGIN, 'pressure')} above the highest set-point, "
-                f"{show(output.high, 'pressure')} ({output.high_from})",
-            )
+            highest = f"the highest set-point, {show(output.high, 'pressure')} ({output.high_from})"
+            text = f"must lie at least {show(SUPPLY_MARGIN, 'pressure')} above {highest}"
+            c.fault(("limits", "supply", "trip_low"), text)
         return
     place: Location = ("channels", "supply")
     _inside(c, (*place, "range"), least, supply)
@@ -437,9 +429,8 @@ def _in_order(c: Compilation, actions: tuple[SafeAction, ...]) -> None:
             c.fault(("vents",), f'"{name}" is missing: say when each muscle vents, or "together"')
     places = [next((n for n, a in enumerate(actions) if a.target == name), -1) for name in declared or ()]
     if places != sorted(places) or len(set(places)) < len(places):
-        c.fault(
-            ("safe_state",), f"is not in the order that is declared: {', '.join(declared or ())} ({c.place('vents')})"
-        )
+        order = f"{', '.join(declared or ())} ({c.place('vents')})"
+        c.fault(("safe_state",), f"is not in the order that is declared: {order}")
 
 
 def interlocks(c: Compilation) -> dict[str, list[InterlockRecord]]:

@@ -163,11 +163,9 @@ def session(c: Compilation, setup: float) -> Session | None:
     if (file := c.bench.session) is None:
         return None
     if c.bench.platform is not None:
-        c.fault(
-            ("session",),
-            "self-test, warm-up and zeros need an output that commands the pressure of each muscle, and a platform has "
-            "valves: leave the section out; `check` names what to do by hand",
-        )
+        what = "self-test, warm-up and zeros need an output that commands the pressure of each muscle"
+        remedy = "leave the section out; `check` names what to do by hand"
+        c.fault(("session",), f"{what}, and a platform has valves: {remedy}")
         return None
     warm_up = None
     if file.warm_up is not None:
@@ -181,17 +179,13 @@ def session(c: Compilation, setup: float) -> Session | None:
 def lacks_session(c: Compilation) -> Iterator[str]:
     """A line if a real bench has no session; continues the sentence "this bench has"."""
     if c.bench.time == "real" and c.bench.platform is not None:
-        yield (
-            "no session, for self-test, warm-up and zeros need outputs that command pressures: wiring and zeros are "
-            'not looked at; remedy: before the first run, "pmabench bench read" each channel without pressure, and see '
-            "by hand that each valve moves the pressure of the muscle that it is for"
-        )
+        why = "for self-test, warm-up and zeros need outputs that command pressures: wiring and zeros are not looked at"
+        remedy = 'before the first run, "pmabench bench read" each channel without pressure, and see by hand'
+        yield f"no session, {why}; remedy: {remedy} that each valve moves the pressure of the muscle that it is for"
     elif c.bench.time == "real" and c.bench.session is None:
         first = c.bench.pressures[0] if c.bench.muscles else "pressure"
-        yield (
-            "no session: no warm-up, no zeros, no self-test before the first pressure; remedy: "
-            f'"session: {{self_test: {{}}, warm_up: {{pressure: 300 kPa}}, zeros: {{{first}: {{most: 5 kPa}}}}}}"'
-        )
+        parts = f"{{self_test: {{}}, warm_up: {{pressure: 300 kPa}}, zeros: {{{first}: {{most: 5 kPa}}}}}}"
+        yield f'no session: no warm-up, no zeros, no self-test before the first pressure; remedy: "session: {parts}"'
 
 
 def _commanded(c: Compilation, pressure: float, at: Location) -> None:

@@ -22,6 +22,7 @@ MOVES = 5.0
 EXACT = 2e-4
 """Tolerance of the plant's set-point, as a fraction of the output's range, in addition to its resolution."""
 NOWHERE = "no-such-output"
+FROM_MEMORY = "it answers from memory; ask the device at each call"
 LONG_KNOWN = 5
 """How often an input is asked before it changes, every 0.1 s: a driver may keep answers for some tenths of a second."""
 
@@ -106,9 +107,8 @@ def refuse_position(rig: Rig, valve: ValveRecord, *, on: bool, after: str, by_it
     is_open = on != (valve.energised == "closed")
     if valve is dump_of(rig.record.valves) and rig.plant.dump_open() is not is_open:
         words = {True: "open", False: "closed"}
-        raise Failed(
-            f"{valve.name}: after {after} it is {words[not is_open]} in the plant; {words[is_open]} is expected"
-        )
+        expected = f"{words[is_open]} is expected"
+        raise Failed(f"{valve.name}: after {after} it is {words[not is_open]} in the plant; {expected}")
 
 
 def _refuse_nowhere(rig: Rig, *calls: str) -> None:
@@ -147,10 +147,8 @@ def _one_set_point(rig: Rig, output: OutputRecord, value: float, *, moves: bool)
         _travel(rig, output, value)
     if not reaches(rig, output, value):
         got = show(commanded(rig, output), output.quantity)
-        raise Failed(
-            f"{output.name}: {si} ({value:g}) was written, and the plant has {got}; is it another unit, sign or "
-            "output, or did nothing leave?"
-        )
+        why = "is it another unit, sign or output, or did nothing leave?"
+        raise Failed(f"{output.name}: {si} ({value:g}) was written, and the plant has {got}; {why}")
     for other in rig.record.outputs:
         if other.name in others and abs(commanded(rig, other) - others[other.name]) > close_enough(other):
             raise Failed(f"writing {output.name} has changed {other.name}; are these outputs swapped?")
@@ -222,10 +220,8 @@ def _levels(rig: Rig, fixed: Collection[str], *, pressed: bool) -> None:
             raise Failed(f"level() of {lock.name} gave {level!r}; True or False is expected")
         safe = not pressed or lock.name in fixed
         if level != ((lock.safe == "high") == safe):
-            raise Failed(
-                f"level() of {lock.name} gave {level}; the emulated contact is {'safe' if safe else 'unsafe'}, "
-                f"and {lock.safe} is safe"
-            )
+            real = f"the emulated contact is {'safe' if safe else 'unsafe'}, and {lock.safe} is safe"
+            raise Failed(f"level() of {lock.name} gave {level}; {real}")
 
 
 def from_outside(rig: Rig) -> str:
@@ -245,8 +241,7 @@ def from_outside(rig: Rig) -> str:
                 if not isinstance(held, DeviceError) and not _is_held(rig, output, held):
                     real = show(commanded(rig, output), output.quantity)
                     raise Failed(
-                        f"{output.name} was changed to {real} ({way}), and read_back() gives {held!r}: it answers from "
-                        "memory; ask the device at each call"
+                        f"{output.name} was changed to {real} ({way}), and read_back() gives {held!r}: {FROM_MEMORY}"
                     )
         for valve in rig.record.valves:
             with rig.opened() as device:
@@ -257,10 +252,7 @@ def from_outside(rig: Rig) -> str:
                     continue
                 shown = rig.call("is_on()", device.is_on, valve.output).judged()
                 if not isinstance(shown, DeviceError) and shown is not bool(rig.coil(valve)):
-                    raise Failed(
-                        f"{valve.name} was switched off ({way}), and is_on() gives {shown!r}: it answers from memory; "
-                        "ask the device at each call"
-                    )
+                    raise Failed(f"{valve.name} was switched off ({way}), and is_on() gives {shown!r}: {FROM_MEMORY}")
     if unchecked:
         raise NotChecked(f"{', '.join(unchecked)}; the others are read back as they are")
     return "set-points and valves changed at the device itself, and by a restart, are read back as they are"

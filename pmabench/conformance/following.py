@@ -78,16 +78,12 @@ def _watch(rig: Rig, output: OutputRecord, segment: Segment, lasts: float) -> No
     room = close_enough(output) + 0.02 * abs(float(si(value(segment.start + lasts / 4))) - float(si(segment.origin)))
     off = [distance for distance in seen if distance > room]
     if len(off) > 0.1 * len(seen):
-        raise Late(
-            f"{output.name}: the plant's set-point is up to {show(max(off), output.quantity)} away from the "
-            f"{segment.kind} that was commanded ({len(off)} of {len(seen)} looks)"
-        )
+        away = f"up to {show(max(off), output.quantity)} away from the {segment.kind} that was commanded"
+        raise Late(f"{output.name}: the plant's set-point is {away} ({len(off)} of {len(seen)} looks)")
     crests = [float(si(segment.origin + sign * segment.amplitude)) for sign in (-1, 1)]
     if max(reached) - min(reached) < 0.8 * abs(crests[1] - crests[0]):
-        swing = show(max(reached) - min(reached), output.quantity)
-        raise Late(
-            f"{output.name}: a sine from crest to crest of {show(crests[1] - crests[0], output.quantity)} is {swing}"
-        )
+        swing, wanted = (show(max(ends) - min(ends), output.quantity) for ends in (reached, crests))
+        raise Late(f"{output.name}: a sine from crest to crest of {wanted} is {swing}")
     end = segment.target if segment.kind == "ramp" else segment.origin
     if not reaches(rig, output, end, 0.5):
         left = show(commanded(rig, output), output.quantity)
@@ -183,9 +179,8 @@ def held(rig: Rig) -> str:
         if not isinstance(after, DeviceError):
             after = rig.call("held()", device.held).judged()
         if not isinstance(after, DeviceError) and not _difference(before, after):
-            raise Failed(
-                "held() is as before after the emulated device was switched off and on: it answers from memory"
-            )
+            why = "after the emulated device was switched off and on: it answers from memory"
+            raise Failed(f"held() is as before {why}")
     if rig.relays:
         _silent(rig)
     return f"{reported}; a fired or disarmed watchdog, a restart and silence are seen"
@@ -220,16 +215,15 @@ def _reports_watchdog(rig: Rig, device: Any, before: Mapping[str, Any]) -> None:
         rig.wait(NOTICED)
         after = rig.call("held()", device.held).judged()
         if not (isinstance(after, DeviceError) or _difference(counting, after) or _outputs_show_it(rig, device)):
-            raise Failed(
-                f"the watchdog has fired, held() is as before ({', '.join(after)}), and outputs and valves are read "
-                "back as they were commanded: nothing shows that the device has vented"
+            same = (
+                f"held() is as before ({', '.join(after)}), and outputs and valves are read back as they were commanded"
             )
+            raise Failed(f"the watchdog has fired, {same}: nothing shows that the device has vented")
         armed = rig.call("arm_watchdog()", device.arm_watchdog, rig.record.watchdog).good()
     rig.call("disarm_watchdog()", device.disarm_watchdog).nothing()
     if _held(rig, device).get("watchdog", 0) not in {0, before.get("watchdog", 0)}:
-        raise Failed(
-            'held() says that the "watchdog" is on after disarm_watchdog(); 0 is expected, or what it was before'
-        )
+        expected = "0 is expected, or what it was before"
+        raise Failed(f'held() says that the "watchdog" is on after disarm_watchdog(); {expected}')
 
 
 def _outputs_show_it(rig: Rig, device: Any) -> bool:

@@ -200,9 +200,8 @@ class Rig:
     def emulator(self) -> Any:
         """The emulator; raises Failed without one."""
         if self._emulator is None:
-            raise Failed(
-                f"{self.record.driver} has no emulator, and nothing else is tried (docs/drivers.md): {self._unserved}"
-            )
+            why = f"nothing else is tried (docs/drivers.md): {self._unserved}"
+            raise Failed(f"{self.record.driver} has no emulator, and {why}")
         return self._emulator
 
     @property
@@ -293,11 +292,9 @@ class Rig:
         if not identity.simulated and self._heard() == before:
             device, self.device = self.device, None
             self.call("close()", device.close).judged(COLLECTS_WITHIN)
-            raise Failed(
-                f"open() reached {identity.model or 'a device'} past the emulator, with which nothing was exchanged; "
-                "it gives simulated=False: it may drive a muscle, and nothing is commanded. Let the driver open only "
-                "the address of its record"
-            )
+            past = f"{identity.model or 'a device'} past the emulator, with which nothing was exchanged"
+            why = "it gives simulated=False: it may drive a muscle, and nothing is commanded"
+            raise Failed(f"open() reached {past}; {why}. Let the driver open only the address of its record")
         if armed and self.record.watchdog and isinstance(self.device, b.Watchdog):
             self.call("arm_watchdog()", self.device.arm_watchdog, self.record.watchdog).good()
             self._armed = True

@@ -84,10 +84,8 @@ class Recording:
             self.arrived.append(now if block.host == -1 else block.host / 1e9)
             self.kept.append((block, _copy(block)))
             if not before - 0.3 < self.arrived[-1] <= now + 0.001:
-                raise Failed(
-                    f"Block.host is {block.host} ns, and the block was collected at {now:.3f} s of bench time, the one "
-                    f"before at {before:.3f} s"
-                )
+                collected = f"collected at {now:.3f} s of bench time, the one before at {before:.3f} s"
+                raise Failed(f"Block.host is {block.host} ns, and the block was {collected}")
 
     def si(self, channel: ChannelRecord) -> list[float]:
         """The values of a channel [SI]."""
@@ -207,9 +205,8 @@ def _paced(found: Recording, rate: float) -> None:
     ends = [*found.borders[1:], len(seconds)]
     passed, shown = found.collected[-1] - found.collected[0], seconds[ends[-1] - 1] - seconds[ends[0] - 1]
     if not abs(shown - passed) <= 0.05 * passed + 2.5 * period:
-        raise Late(
-            f"its samples' times say that {shown:.3g} s passed, and by the computer's clock it was {passed:.3g} s"
-        )
+        real = f"by the computer's clock it was {passed:.3g} s"
+        raise Late(f"its samples' times say that {shown:.3g} s passed, and {real}")
     if not 0.85 * period <= usual <= 1.15 * period:
         raise Late(f"start() said {rate:g} Hz, and samples are {1e3 * usual:.3g} ms apart, not {1e3 * period:.3g} ms")
     wrong = []  # both: a delay by a busy computer must not hide faults of the driver
@@ -389,10 +386,8 @@ def _follows(
         word = "old" if best < 0 else "early"
         raise Late(f"the samples of {channel.name} are {1e3 * abs(best):.0f} ms too {word}, at {1 / period:g} Hz")
     if (ragged := deviation(best) / per_period) > RAGGED:
-        raise Late(
-            f"samples of {channel.name} do not belong to their times: they are off by {ragged:.0%} of what the plant "
-            "changes from one to the next; are values repeated, or lost?"
-        )
+        off = f"{ragged:.0%} of what the plant changes from one to the next; are values repeated, or lost?"
+        raise Late(f"samples of {channel.name} do not belong to their times: they are off by {off}")
     same = [later == earlier for earlier, later in pairwise(found.values[channel.name])]
     between = [same[border - 1] for border in found.borders if 0 < border <= len(same)]
     if sum(between) > LOST * len(between) and sum(between) / len(between) > 2 * sum(same) / len(same):

@@ -237,10 +237,8 @@ class AsciiLink:
     def _about(self, deadline: float) -> dict[int, str]:
         """Its identification texts, by number."""
         if not (lines := self._listed("??M*", deadline, last=b" M09 ")):
-            message = (
-                f"nobody answers at {self._address}: is it switched on, at {self._options.baud} baud, with the unit ID "
-                f"{self._options.letter}, and set to ASCII?"
-            )
+            options, on = self._options, f"nobody answers at {self._address}: is it switched on"
+            message = f"{on}, at {options.baud} baud, with the unit ID {options.letter}, and set to ASCII?"
             raise DeviceError(self._device, message)
         found = {}
         for line in lines:

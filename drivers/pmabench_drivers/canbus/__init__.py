@@ -117,9 +117,8 @@ class CanBus(Driver[Link]):
             models = ["CAN adapter"]
         names = ", ".join(model.removeprefix(begins) for model in models)
         serial, firmware = (", ".join(filter(None, (getattr(n, k) for n in nodes))) for k in ("serial", "firmware"))
-        return Identity(
-            "CAN", f"{begins if simulated else ''}{names}", serial, firmware, simulated=simulated, clock=COMPUTER
-        )
+        model = f"{begins if simulated else ''}{names}"
+        return Identity("CAN", model, serial, firmware, simulated=simulated, clock=COMPUTER)
 
     def _refuse_narrow_limits(self, deadline: float) -> None:
         """Raise DeviceError if a drive's own limits are inside those of the bench: it would not reach its targets."""
@@ -128,10 +127,8 @@ class CanBus(Driver[Link]):
             limits = drive.limits(deadline)
             ends = sorted(float(output.scale.to_raw(value)) for value in (output.low, output.high))
             if limits is not None and (ends[0] < limits[0] or ends[1] > limits[1]):
-                message = (
-                    f"its software limits (607Dh) are {limits[0]} to {limits[1]} counts, and the bench may send it to"
-                )
-                raise drive.error(f"{message} {ends[0]:g} to {ends[1]:g}: change one of them")
+                own = f"its software limits (607Dh) are {limits[0]} to {limits[1]} counts"
+                raise drive.error(f"{own}, and the bench may send it to {ends[0]:g} to {ends[1]:g}: change one of them")
 
     # -- received frames ------------------------------------------------------------------------------------------
 

@@ -226,12 +226,9 @@ def read_options(device: DeviceRecord, reader: Reader) -> Options:
 
 def _address(address: str, reader: Reader) -> None:
     interface, colon, channel = address.partition(":")
-    wanted = (
-        'INTERFACE:CHANNEL is expected, for instance "socketcan:can0" or "slcan:/dev/ttyACM0"; '
-        f"interfaces: {', '.join(INTERFACES)}"
-    )
+    wanted = 'INTERFACE:CHANNEL is expected, for instance "socketcan:can0" or "slcan:/dev/ttyACM0"'
     if interface not in INTERFACES or not colon or not channel:
-        reader.fault(("address",), f'{wanted}; not "{address}"')
+        reader.fault(("address",), f'{wanted}; interfaces: {", ".join(INTERFACES)}; not "{address}"')
     elif interface in NUMBERED and not channel.isdecimal():
         reader.fault(("address",), f'{interface} needs the number of its channel, for instance "{interface}:0"')
     elif "://" in channel and not re.fullmatch(r"socket://[A-Za-z0-9.-]+:\d{1,5}", channel):

@@ -191,9 +191,8 @@ class FestoCmmt(Watched["DriveLink"]):
 
     def _off(self, status: t.Status) -> str:
         """Why the drive is not under power."""
-        return status.refusal() or (
-            f"is not under power (status word 0x{status.word:04x}): is its supply on, and its safe torque off released?"
-        )
+        cause = "is its supply on, and its safe torque off released?"
+        return status.refusal() or f"is not under power (status word 0x{status.word:04x}): {cause}"
 
     # -- commands -------------------------------------------------------------------------------------------------
 

@@ -40,10 +40,15 @@ class Sensor(Streaming):
     def _carry_out(self, word: str, value: str) -> str:
         if word == "GETINFO":
             span, name = self._options.range, self._plant.model("ILD1420")
-            return (
-                f"\r\nName: {name}-{span}\r\nSerial: 1\r\nOption: 000\r\nMeasuring range: {span}.00mm\r\n"
-                "Version: 001.000"
+            about = (
+                "",
+                f"Name: {name}-{span}",
+                "Serial: 1",
+                "Option: 000",
+                f"Measuring range: {span}.00mm",
+                "Version: 001.000",
             )
+            return "\r\n".join(about)
         if word == "OUTPUT" and value in {"NONE", "RS422"}:
             self.streaming = value == "RS422"
             self.due = monotonic()

@@ -411,9 +411,8 @@ class ModbusDevice(Watched["Line"], Controlled["Line"]):
             if lost is None:
                 shown = f"was commanded {wanted:g} and {self._shows(register, held)}"
                 raise NotSent(self._device.name, shown, register.name)
-            raise self._error(
-                f"did not answer to the command {wanted:g} and {self._shows(register, held)}", register.name
-            )
+            shown = f"did not answer to the command {wanted:g} and {self._shows(register, held)}"
+            raise self._error(shown, register.name)
 
     def _shows(self, _register: r.Register, held: float) -> str:
         """Value of a register, in words."""

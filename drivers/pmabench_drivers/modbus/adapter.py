@@ -403,10 +403,8 @@ class Line:
             if all(signature != wanted for signature, _until in self._owed):
                 return
             if monotonic() >= deadline:
-                message = (
-                    "is not asked again yet, so that a late answer to the last question is not taken for a new one"
-                )
-                raise DeviceError(self._device, message, what)
+                why = "so that a late answer to the last question is not taken for a new one"
+                raise DeviceError(self._device, f"is not asked again yet, {why}", what)
             self._client.deadline = min(deadline, self._owed[0][1])
             with contextlib.suppress(OSError, TypeError):
                 self._came(self._client.recv(None))

@@ -271,11 +271,8 @@ def _register(name: str, data: Any, place: Place, reader: Reader, usual: str, us
         reader.number(given, "expect", place),
     )
     if use == "uptime" and register.type not in UPTIMES:
-        reader.fault(
-            (*place, "type"),
-            f"a number that only grows needs 32 bits ({', '.join(UPTIMES)}): one of 16 bits soon begins again at 0, "
-            "which would be taken for a restart",
-        )
+        why = "one of 16 bits soon begins again at 0, which would be taken for a restart"
+        reader.fault((*place, "type"), f"a number that only grows needs 32 bits ({', '.join(UPTIMES)}): {why}")
     if register.expect is not None and use != "identity":
         reader.fault((*place, "expect"), 'belongs to a register of "identity"')
     if register.address + register.count > 65536:

@@ -109,10 +109,8 @@ class Connection:
         from nidaqmx.errors import DaqError, DaqNotFoundError, DaqNotSupportedError, RpcError
 
         if isinstance(error, DaqNotFoundError | DaqNotSupportedError):
-            message = (
-                "NI-DAQmx, NI's driver, is not on this computer: install it from NI, or give the address of NI's gRPC "
-                'server where it is: "options: {server: HOST:31763}"'
-            )
+            server = 'give the address of NI\'s gRPC server where it is: "options: {server: HOST:31763}"'
+            message = f"NI-DAQmx, NI's driver, is not on this computer: install it from NI, or {server}"
             return DeviceError(self._name, message, what)
         if isinstance(error, DaqError):
             code = int(error.error_code)

@@ -51,10 +51,9 @@ def pattern_problem(pattern: str) -> str:
     position = 0
     while position < len(pattern):
         if (token := _TOKEN.match(pattern, position)) is None:
-            return (
-                f'cannot be used from "{pattern[position : position + 12]}" on; characters, [classes], \\d \\w \\s, '
-                "groups, | and repetitions are understood, references and looks around are not"
-            )
+            known = "characters, [classes], \\d \\w \\s, groups, | and repetitions are understood"
+            begins = pattern[position : position + 12]
+            return f'cannot be used from "{begins}" on; {known}, references and looks around are not'
         position = token.end()
         if (times := _QUANTIFIER.match(pattern, position)) is None:
             continue

@@ -163,9 +163,8 @@ def read_options(device: DeviceRecord, reader: Reader) -> int:
             reader.fault(("outputs", valve.name, "energised"), message)
     shortest, longest = WATCHDOG
     if (device.outputs or device.valves) and not device.watchdog:
-        reader.fault(
-            (), f'outputs work only under the watchdog of the board: add "watchdog: 500 ms" (at most {longest:g} s)'
-        )
+        remedy = f'add "watchdog: 500 ms" (at most {longest:g} s)'
+        reader.fault((), f"outputs work only under the watchdog of the board: {remedy}")
     elif device.watchdog and not shortest <= device.watchdog <= longest:
         reader.fault(("watchdog",), f"the board's watchdog takes {shortest * 1e3:g} ms to {longest:g} s")
     return baud
@@ -367,10 +366,8 @@ class SerialLineDaq(Led[Link]):
             return  # left over: another program started the sampling
         if (micros := timeline.place(sample, now)) is None:
             if timeline.misfits == MISFITS:
-                message = (
-                    "the number of its samples and its clock do not fit: it has started again, or is no such board"
-                )
-                self._failure = self._error(message)
+                why = "it has started again, or is no such board"
+                self._failure = self._error(f"the number of its samples and its clock do not fit: {why}")
             return
         self._heard = monotonic()
         self._samples.append(micros * 1000, [float(sample.counts[i]) for i in self._columns], round(now * 1e9))

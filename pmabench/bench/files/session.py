@@ -73,7 +73,6 @@ class SessionFile(Strict):
             if placed and not zero.at:
                 raise ValueError(f'the zero of the {name} needs "at": where the free end is then, in words')
             if not placed and (zero.at or zero.load is not None):
-                raise ValueError(
-                    f'"at" and "load" belong to the displacement or the angle; {name} is zeroed without any'
-                )
+                text = f'"at" and "load" belong to the displacement or the angle; {name} is zeroed without any'
+                raise ValueError(text)
         return self
