@@ -12,13 +12,7 @@ from pmabench.bench.channels import refuse_unsafe_order
 from pmabench.bench.compilation import Compilation
 from pmabench.bench.files.safety import LimitFile, SafeActionFile, WatchFile
 from pmabench.bench.files.specimen import Reading
-from pmabench.bench.interface import (
-    ChannelRecord,
-    InterlockRecord,
-    ProofTest,
-    SafeAction,
-    TripRecord,
-)
+from pmabench.bench.interface import ChannelRecord, InterlockRecord, ProofTest, SafeAction, TripRecord
 from pmabench.files.document import Location
 
 LONGEST_DELAY = 1.0
@@ -181,11 +175,9 @@ def _above_commands(c: Compilation, name: str, high: float, channel: ChannelReco
     margin += c.bench.air.overshoot if output.quantity == "pressure" else 0.0
     if high <= output.high or high < output.high + margin * (1 - 1e-9):
         shown, least = show(high, channel.quantity), show(margin, channel.quantity)
-        c.fault(
-            ("limits", name, "trip"),
-            f"the trip {shown} must lie at least {least} (uncertainty and overshoot) above the command limit "
-            f"{show(output.high, channel.quantity)} ({output.high_from})",
-        )
+        limit = f"the command limit {show(output.high, channel.quantity)} ({output.high_from})"
+        text = f"the trip {shown} must lie at least {least} (uncertainty and overshoot) above {limit}"
+        c.fault(("limits", name, "trip"), text)
 
 
 def _below_commands(c: Compilation, name: str, low: float, channel: ChannelRecord) -> None:

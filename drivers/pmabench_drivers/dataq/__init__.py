@@ -299,9 +299,8 @@ class Dataq(SerialStream):
             values = [volts(model, span, raw) for span, raw in zip(spans, words, strict=True)]
             self._newest = self._origin + self._number / self._rate
             self._number += 1
-            self._samples.append(
-                round(self._newest * 1e9), [values[column] for column in self._columns], round(now * 1e9)
-            )
+            row = [values[column] for column in self._columns]
+            self._samples.append(round(self._newest * 1e9), row, round(now * 1e9))
         # scans are not numbered: missing ones make all that follow appear to be late
         if (behind := self._pace.behind(self._newest, now)) > 0:
             self._failure = f"is {behind:.2f} s behind its clock: scans are lost, or it is slower than it says"

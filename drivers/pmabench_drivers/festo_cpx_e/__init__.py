@@ -244,9 +244,8 @@ class FestoCpxE(ModbusDevice):
             if status := words[module.status - t.FIRST_INPUT]:
                 message = f"reports a fault (status 0x{status:04x}): look at its LEDs and its data sheet"
                 raise self._error(message, f"module {module.position} ({module.name})")
-        self._keep(
-            [decode(item, [words[item.address - t.FIRST_INPUT]]) for item in self._inputs], answered - took, answered
-        )
+        values = [decode(item, [words[item.address - t.FIRST_INPUT]]) for item in self._inputs]
+        self._keep(values, answered - took, answered)
 
     # -- commands -------------------------------------------------------------------------------------------------
 

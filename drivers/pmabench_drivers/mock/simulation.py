@@ -76,9 +76,8 @@ class Simulation(Sampled):
             setup = changed(setup_of(options.numbers), options.preset, options.overrides)
         highest = SETPOINTS[1] if options.numbers is None else float(options.numbers["highest_pressure"])
         self._setpoints = (SETPOINTS[0], highest)
-        setup = replace(
-            setup, regulator=replace(setup.regulator, vent_ratio=setup.regulator.vent_ratio * options.slow_vent)
-        )
+        vent_ratio = setup.regulator.vent_ratio * options.slow_vent
+        setup = replace(setup, regulator=replace(setup.regulator, vent_ratio=vent_ratio))
         if setup.air is not None:
             setup = replace(setup, air=replace(setup.air, vent=setup.air.vent / options.slow_vent))
         noise = setup.noise
@@ -90,9 +89,8 @@ class Simulation(Sampled):
         super().__init__(device, options, sigma, memory)
         self._plant: Plant | RealPlant | DrivenPlant
         if options.free_end == "actuator":
-            actuator = Actuator(
-                options.actuator_low, options.actuator_high, options.actuator_speed, options.actuator_force
-            )
+            ends = options.actuator_low, options.actuator_high
+            actuator = Actuator(*ends, options.actuator_speed, options.actuator_force)
             self._plant = setup.driven(actuator, start=start)
         else:
             self._plant = setup.free(mass=options.carriage, start=start)
