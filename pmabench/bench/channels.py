@@ -195,13 +195,10 @@ def read_calibration(path: Path, quantity: str) -> Calibration:
         raise InvalidFile([document.problem(("points",), message)])
     text = document_text(document)
     record = b.CalibrationRecord(
-        id=file.id,
-        reference=file.reference,
+        **file.model_dump(include={"id", "reference", "gain_uncertainty", "sensor_lag"}),
         date=file.date.isoformat(),
         valid_until=file.valid_until.isoformat() if file.valid_until else "",
         offset_uncertainty=uncertainty,
-        gain_uncertainty=file.gain_uncertainty,
-        sensor_lag=file.sensor_lag,
         sha256=hashlib.sha256(text.encode()).hexdigest(),
     )
     return Calibration(scale, record, raw_unit, text, min(value), max(value))

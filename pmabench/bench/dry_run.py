@@ -255,14 +255,8 @@ follow_lag: 5 ms
 
 PLANT = "plant"
 """Name of the only device."""
-INPUTS = {
-    "pressure": "pressure",
-    "displacement": "displacement",
-    "force": "force",
-    "supply": "supply",
-    "pressure_command": "pressure_set",
-    "displacement_command": "displacement_set",
-}
+INPUTS = {name: name for name in ("pressure", "displacement", "force", "supply")}
+INPUTS |= {f"{name}_command": f"{name}_set" for name in ("pressure", "displacement")}
 """Channel of a bench -> input of the simulated one."""
 NOISE = 2e-4
 """Standard deviation of the noise of each channel, as a fraction of its range."""

@@ -27,16 +27,8 @@ SUPPLY_DELAY = 1.0
 HANDS = 50e3
 """Highest pressure at which hands may go in [Pa]: that from which on vessels count as under pressure (2014/68/EU)."""
 
-LIMIT_CHANNEL = {
-    "pressure": "pressure",
-    "force": "force",
-    "contraction": "displacement",
-    "displacement": "displacement",
-    "angle": "angle",
-    "torque": "torque",
-    "supply": "supply",
-}
-"""Key of `limits`, without the number of a muscle -> the watched channel."""
+LIMIT_CHANNEL = {"contraction": "displacement"}
+"""Key of `limits`, without the number of a muscle -> the watched channel, if that has another name."""
 RATE_OF = {
     "pressure": "pressure rate",
     "length": "speed",
@@ -54,7 +46,7 @@ ENDS = ("stop", "vent")
 def watched_by(limit: str) -> str:
     """Channel that a limit watches: `displacement_2` for `contraction_2`."""
     name, number = without_number(limit)
-    return LIMIT_CHANNEL[name] + number
+    return LIMIT_CHANNEL.get(name, name) + number
 
 
 def trips(c: Compilation) -> Iterator[TripRecord]:

@@ -241,12 +241,6 @@ def _self_test(c: Compilation, file: SessionFile, setup: float) -> SelfTest | No
     for name, reading in given.noise.items():
         if not c.unknown((*at, "noise", name), "channel", name, c.bench.channels) and name in c.channels:
             noise[name] = c.si(reading, c.channels[name].quantity, (*at, "noise", name))
-    return SelfTest(
-        points=tuple(highest * (index + 1) / count for index in range(count)),
-        settle=given.settle,
-        load=_mass(c, given.load, (*at, "load")),
-        noise=noise,
-        linearity=given.linearity,
-        alignment=given.alignment,
-        leak=given.leak,
-    )
+    points, load = tuple(highest * (index + 1) / count for index in range(count)), _mass(c, given.load, (*at, "load"))
+    same = given.model_dump(include={"settle", "linearity", "alignment", "leak"})
+    return SelfTest(points=points, load=load, noise=noise, **same)
