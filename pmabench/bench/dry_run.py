@@ -126,12 +126,18 @@ def of_specimen(specimen: SpecimenFile, highest: float) -> PredictedMuscle:
         surface, factors = known.surface, TYPE_FACTORS
         source = f"type {known.name} of the library ({known.source}), force +-20 %, friction and damping assumed"
     else:
-        angle = specimen.braid_angle if specimen.braid_angle is not None else BRAID_ANGLE
+        angle, braid = _braid(specimen)
         surface, factors = braid_surface(specimen.inner_diameter, angle), BRAID_FACTORS
-        assumed = "" if specimen.braid_angle is not None else " (assumed)"
-        braid = f"a braid of {show(specimen.inner_diameter, 'length')} and {show(angle, 'angle')}{assumed}"
-        source = f"{braid}, of which a muscle has between half and all of the force; friction and damping assumed"
+        force = "of which a muscle has between half and all of the force"
+        source = f"a braid of {braid}, {force}; friction and damping assumed"
     return by_surface(surface, specimen, highest, source, factors)
+
+
+def _braid(specimen: SpecimenFile) -> tuple[float, str]:
+    """Angle of a specimen's braid [rad], and the braid in words."""
+    angle = specimen.braid_angle if specimen.braid_angle is not None else BRAID_ANGLE
+    assumed = "" if specimen.braid_angle is not None else " (assumed)"
+    return angle, f"{show(specimen.inner_diameter, 'length')} and {show(angle, 'angle')}{assumed}"
 
 
 def by_surface(
@@ -361,7 +367,7 @@ def several(mounted: Mounted) -> tuple[dict[str, Any], str]:
     Raises UsageError if the bench file lacks the dimensions of the joint, or has another free end.
     """
     file, specimen = mounted.bench_file, mounted.specimen_file
-    angle = specimen.braid_angle if specimen.braid_angle is not None else BRAID_ANGLE
+    angle, braid = _braid(specimen)
     muscle = {
         "diameter": specimen.inner_diameter,
         "length": specimen.mounted.length or specimen.nominal_length,
@@ -377,8 +383,6 @@ def several(mounted: Mounted) -> tuple[dict[str, Any], str]:
         remedy = "check without --simulate, which still checks limits and times of the plan"
         raise UsageError(f"{what}, and nothing else of several muscles can be simulated: {remedy}")
     options["free_end"] = "actuator" if driven(mounted) else "weights"
-    assumed = "" if specimen.braid_angle is not None else " (assumed)"
-    braid = f"{show(specimen.inner_diameter, 'length')} and {show(angle, 'angle')}{assumed}"
     source = f"{len(file.muscles)} muscles of paper 3 of {braid}, of whose force a muscle has between half and all"
     return options, f"{source}; hysteresis, damping, inertia, regulators and valves assumed"
 

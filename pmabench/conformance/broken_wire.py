@@ -199,10 +199,8 @@ def _refuse_growth(rig: rigs.Rig, device: Any) -> None:
 
 def _left() -> tuple[frozenset[str], int]:
     """Names of the living threads, and number of open files."""
-    names = frozenset(
-        f"{thread.name} ({thread.ident})" for thread in threading.enumerate() if not thread.name.startswith("link-")
-    )
-    return names, rigs.open_files()
+    threads = [thread for thread in threading.enumerate() if not thread.name.startswith("link-")]
+    return frozenset(f"{thread.name} ({thread.ident})" for thread in threads), rigs.open_files()
 
 
 class Battle:

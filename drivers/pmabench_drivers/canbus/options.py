@@ -147,9 +147,8 @@ def _signal(line: str, message: Message, number: int) -> Signal | None:
     start, length = _whole(found[3], number), _whole(found[4], number)
     if found[2] not in {None, "M"}:
         return None
-    signal = Signal(
-        found[1], start, length, found[5] == "0", found[6] == "-", float(found[7]), float(found[8]), found[9]
-    )
+    factor, offset = float(found[7]), float(found[8])
+    signal = Signal(found[1], start, length, found[5] == "0", found[6] == "-", factor, offset, found[9])
     inside = 0 < length <= 64 and 0 <= start < 64
     if not inside or min(signal.bits) < 0 or max(signal.bits) >= 8 * message.length:
         raise NoDatabase(f"line {number}: the signal {signal.name} is longer than its message")
