@@ -237,9 +237,9 @@ class AsciiLink:
     def _about(self, deadline: float) -> dict[int, str]:
         """Its identification texts, by number."""
         if not (lines := self._listed("??M*", deadline, last=b" M09 ")):
-            options, on = self._options, f"nobody answers at {self._address}: is it switched on"
-            message = f"{on}, at {options.baud} baud, with the unit ID {options.letter}, and set to ASCII?"
-            raise DeviceError(self._device, message)
+            options = self._options
+            right = f"is it switched on, at {options.baud} baud, with the unit ID {options.letter}, and set to ASCII?"
+            raise DeviceError(self._device, f"nobody answers at {self._address}: {right}")
         found = {}
         for line in lines:
             row = _ABOUT.fullmatch(line.decode("ascii", "replace").replace("\b", "").strip())
