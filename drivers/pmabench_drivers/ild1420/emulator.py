@@ -40,15 +40,14 @@ class Sensor(Streaming):
     def _carry_out(self, word: str, value: str) -> str:
         if word == "GETINFO":
             span, name = self._options.range, self._plant.model("ILD1420")
-            about = (
-                "",
+            lines = (
                 f"Name: {name}-{span}",
                 "Serial: 1",
                 "Option: 000",
                 f"Measuring range: {span}.00mm",
                 "Version: 001.000",
             )
-            return "\r\n".join(about)
+            return "".join(f"\r\n{line}" for line in lines)
         if word == "OUTPUT" and value in {"NONE", "RS422"}:
             self.streaming = value == "RS422"
             self.due = monotonic()
