@@ -40,14 +40,8 @@ class Sensor(Streaming):
     def _carry_out(self, word: str, value: str) -> str:
         if word == "GETINFO":
             span, name = self._options.range, self._plant.model("ILD1420")
-            lines = (
-                f"Name: {name}-{span}",
-                "Serial: 1",
-                "Option: 000",
-                f"Measuring range: {span}.00mm",
-                "Version: 001.000",
-            )
-            return "".join(f"\r\n{line}" for line in lines)
+            about = f"\r\nName: {name}-{span}\r\nSerial: 1\r\nOption: 000\r\nMeasuring range: {span}.00mm"
+            return f"{about}\r\nVersion: 001.000"
         if word == "OUTPUT" and value in {"NONE", "RS422"}:
             self.streaming = value == "RS422"
             self.due = monotonic()
