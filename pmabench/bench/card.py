@@ -146,9 +146,8 @@ def _load(mounted: Mounted) -> Iterator[str]:
 
 
 def _air(mounted: Mounted) -> Iterator[str]:
-    yield "The pressure falls as far as the muscle leaks" + (
-        "; the load sinks." if mounted.bench_file.weights is not None else "."
-    )
+    sinks = "" if mounted.bench_file.weights is None else "; the load sinks"
+    yield f"The pressure falls as far as the muscle leaks{sinks}."
     supply = [trip for trip in mounted.bench.trips if trip.channel == "supply" and trip.low is not None]
     names = mounted.bench_file.pressures
     following = [trip for trip in mounted.bench.trips if trip.kind == "following" and trip.channel in names]
@@ -253,11 +252,11 @@ def make_card(mounted: Mounted, date: str) -> Card:
     bench, file = mounted.bench, mounted.bench_file
     hashes = [[name, hashlib.sha256(text.encode()).hexdigest()] for name, text in sorted(mounted.documents.items())]
     if bench.proof is not None:
-        proof = (
-            f"Before each use: filled to {show(bench.proof.pressure, 'pressure')}, vented, below "
-            f"{show(bench.proof.below, 'pressure')} within {seconds(bench.proof.within)}. Until then at most "
-            f"{show(bench.setup_pressure, 'pressure')}."
+        full, empty, most = (
+            show(P, "pressure") for P in (bench.proof.pressure, bench.proof.below, bench.setup_pressure)
         )
+        within = seconds(bench.proof.within)
+        proof = f"Before each use: filled to {full}, vented, below {empty} within {within}. Until then at most {most}."
     else:
         proof = "The vent path is not proven before use."
     stop = f"A controlled stop first takes the pressure down at {show(bench.stop_rate, 'pressure rate')}."

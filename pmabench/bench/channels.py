@@ -15,7 +15,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from pmabench.base.errors import InvalidFile, did_you_mean
+from pmabench.base.errors import InvalidFile, Problem, did_you_mean
 from pmabench.base.quantities import CHANNEL_QUANTITY, show
 from pmabench.bench import interface as b
 from pmabench.bench.compilation import Compilation
@@ -89,23 +89,17 @@ def _refuse_without_valves(c: Compilation) -> None:
         for kind in COUNTERPART:
             name = f"{kind}_{number}"
             if name not in valves or not valves[name].longest:
-                what = (
-                    f'lacks the valve "{name}" that opens in pulses; add it with "energised: open" and "pulse: 20 ms"'
-                )
-                c.fault(("outputs", name) if name in valves else ("outputs",), what)
+                at = ("outputs", name) if name in valves else ("outputs",)
+                remedy = 'add it with "energised: open" and "pulse: 20 ms"'
+                c.fault(at, f'lacks the valve "{name}" that opens in pulses; {remedy}')
     if SUPPLY_VALVE not in valves or valves[SUPPLY_VALVE].energised != "open":
-        c.fault(
-            ("outputs", SUPPLY_VALVE) if SUPPLY_VALVE in valves else ("outputs",),
-            f'lacks "{SUPPLY_VALVE}", which shuts the air off before the fill valves without power (energised: open): '
-            "a muscle whose fill valve is stuck open cannot be emptied while the supply is on",
-        )
+        at = ("outputs", SUPPLY_VALVE) if SUPPLY_VALVE in valves else ("outputs",)
+        what = f'"{SUPPLY_VALVE}", which shuts the air off before the fill valves without power (energised: open)'
+        c.fault(at, f"lacks {what}: a muscle whose fill valve is stuck open cannot be emptied while the supply is on")
     if not c.bench.switched_dump:
-        c.fault(
-            ("outputs",),
-            'lacks dumps: "dump_valve" for all muscles, or "dump_valve_1" and so on, open without power (energised: '
-            "closed) and four times as wide as a fill valve; an exhaust valve cannot empty a muscle whose fill valve "
-            "is stuck open",
-        )
+        which = '"dump_valve" for all muscles, or "dump_valve_1" and so on, open without power (energised: closed)'
+        why = "an exhaust valve cannot empty a muscle whose fill valve is stuck open"
+        c.fault(("outputs",), f"lacks dumps: {which} and four times as wide as a fill valve; {why}")
 
 
 def refuse_unsafe_order(c: Compilation, actions: tuple[b.SafeAction, ...]) -> None:
@@ -167,30 +161,28 @@ def read_calibration(path: Path, quantity: str) -> Calibration:
     """Read the calibration file of a channel that measures `quantity`; raises `InvalidFile` with every problem."""
     document = read_document(path)
     file = validate(CalibrationFile, document)
-    problems = []
-    raw_unit = file.points[0][0][1]
-    raw: list[float] = []
-    value: list[float] = []
+    problems: list[Problem] = []
+    raw_unit, raw = file.points[0][0][1], [reading[0] for reading, _ in file.points]
     if file.id != path.stem:
         raise InvalidFile([document.problem(("id",), f'the id "{file.id}" is not the name of the file, "{path.stem}"')])
     if file.quantity != quantity:
         raise InvalidFile([document.problem(("quantity",), f"is of {file.quantity}, the channel measures {quantity}")])
-    for index, (reading, reference) in enumerate(file.points):
+
+    def si(reading: tuple[float, str], *at: str | int) -> float:
+        try:
+            return reading[0] * unit_factor(reading[1], quantity)
+        except ValueError as error:
+            problems.append(document.problem(at, str(error)))
+            return 0.0
+
+    for index, (reading, _) in enumerate(file.points):
         if reading[1] != raw_unit:
             problems.append(document.problem(("points", index, 0), f"all readings in one unit, here {raw_unit}"))
-        raw.append(reading[0])
-        try:
-            value.append(reference[0] * unit_factor(reference[1], quantity))
-        except ValueError as error:
-            problems.append(document.problem(("points", index, 1), str(error)))
+    value = [si(reference, "points", index, 1) for index, (_, reference) in enumerate(file.points)]
     if file.valid_until is not None and file.valid_until < file.date:
         problems.append(document.problem(("valid_until",), "ends before the calibration was made"))
-    try:
-        uncertainty = file.expanded_uncertainty[0] * unit_factor(file.expanded_uncertainty[1], quantity)
-        if uncertainty < 0:
-            raise ValueError("an uncertainty is not below zero")
-    except ValueError as error:
-        problems.append(document.problem(("expanded_uncertainty",), str(error)))
+    if (uncertainty := si(file.expanded_uncertainty, "expanded_uncertainty")) < 0:
+        problems.append(document.problem(("expanded_uncertainty",), "an uncertainty is not below zero"))
     if problems:
         raise InvalidFile(problems)
     try:
@@ -203,13 +195,10 @@ def read_calibration(path: Path, quantity: str) -> Calibration:
         raise InvalidFile([document.problem(("points",), message)])
     text = document_text(document)
     record = b.CalibrationRecord(
-        id=file.id,
-        reference=file.reference,
+        **file.model_dump(include={"id", "reference", "gain_uncertainty", "sensor_lag"}),
         date=file.date.isoformat(),
         valid_until=file.valid_until.isoformat() if file.valid_until else "",
         offset_uncertainty=uncertainty,
-        gain_uncertainty=file.gain_uncertainty,
-        sensor_lag=file.sensor_lag,
         sha256=hashlib.sha256(text.encode()).hexdigest(),
     )
     return Calibration(scale, record, raw_unit, text, min(value), max(value))

@@ -49,9 +49,8 @@ def unfilled(bench: Path, documents: Sequence[Document]) -> list[Problem]:
 def _open_places(document: Document) -> Iterator[Problem]:
     for location in _open(document.data, ()):
         name = next((str(part) for part in reversed(location) if isinstance(part, str)), "a value")
-        yield document.problem(
-            location, f'"{name}" is not filled in yet ({OPEN}): write here what is true at your bench'
-        )
+        text = f'"{name}" is not filled in yet ({OPEN}): write here what is true at your bench'
+        yield document.problem(location, text)
 
 
 def _open(data: Any, at: Location) -> Iterator[Location]:

@@ -14,7 +14,6 @@ option `plant`.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache
 from importlib import import_module
@@ -26,7 +25,7 @@ from pmabench.base.errors import InvalidFile, did_you_mean
 from pmabench.base.system import registered
 from pmabench.bench.compilation import Compilation
 from pmabench.bench.interface import DeviceRecord, Follower, Inputs, Motion, Pulses, SetPoint, Stream, Switch, Watchdog
-from pmabench.bench.plant import read_plant
+from pmabench.bench.plant import Plant, read_plant
 from pmabench.files.document import Document, Location, document_text, read_document
 
 EMULATOR_ONLY = "emulator only"
@@ -110,13 +109,18 @@ def _options_with_files(c: Compilation, device: DeviceRecord) -> tuple[dict[str,
     """Options with file names replaced by contents (None for an invalid file), and the map file if there is one."""
     options, at = dict(device.options), ("devices", device.name, "options")
     map_document: Document | None = None
-    for key in (MAP, DBC):
-        if isinstance(options.get(key), str):
-            found = _read_file(c, options, key, (*at, key))
-            map_document = found if isinstance(found, Document) else map_document
-            options[key] = found.data if isinstance(found, Document) else found
-    if isinstance(options.get(PLANT), dict) or str(options.get(PLANT)).endswith(".yaml"):
-        options[PLANT] = _read_plant(c, device, (*at, PLANT))
+    for key in FILES:
+        if isinstance(name := options.get(key), str) and (key != PLANT or name.endswith(".yaml")):
+            found = options[key] = _read_file(c, name, key, (*at, key))
+            if isinstance(found, Document):
+                options[key], map_document = found.data, found
+            elif isinstance(found, Plant):
+                options[key] = {**found.numbers, "file": name}
+                for sentence in found.beyond(device.outputs):
+                    c.fault((*at, key), sentence)
+        elif key == PLANT and isinstance(name, dict):
+            c.fault((*at, key), "the name of a plant, or a plant file next to this one, is expected")
+            options[key] = None
     return options, map_document
 
 
@@ -158,55 +162,34 @@ def _lacks_a_capability(c: Compilation, device: DeviceRecord, driver: type) -> b
     return bool(missing)
 
 
-def _read_plant(c: Compilation, device: DeviceRecord, at: Location) -> dict[str, Any] | None:
-    """Numbers of a plant file, kept for the run's snapshot; None with a problem."""
-    name = device.options[PLANT]
-    if not isinstance(name, str):
-        c.fault(at, "the name of a plant, or a plant file next to this one, is expected")
-        return None
-    try:
-        plant = read_plant(_path_named(Path(c.bench_document.place(at)[0]).parent, name, PLANT))
-    except ValueError as error:
-        c.fault(at, str(error))
-        return None
-    except InvalidFile as error:
-        c.problems.extend(problem for problem in error.problems if problem not in c.problems)
-        return None
-    for sentence in plant.beyond(device.outputs):
-        c.fault(at, sentence)
-    return None if not _keep(c, name, plant.text, at) else {**plant.numbers, "file": name}
-
-
-def _keep(c: Compilation, name: str, text: str, at: Location) -> bool:
-    """Keep the text for the run's snapshot; False, with a problem, if another file already has this name."""
-    if name == "protocol.yaml" or c.texts.setdefault(name, text) != text:
-        c.fault(at, f'in the record of a run another file is called "{name}"; give this one another name')
-        return False
-    return True
-
-
-def _read_file(c: Compilation, options: Mapping[str, Any], key: str, at: Location) -> Document | str | None:
+def _read_file(c: Compilation, name: str, key: str, at: Location) -> Document | str | Plant | None:
     """The file that an option names, kept for the run's snapshot; None with a problem."""
     try:
-        found = read_named_file(Path(c.bench_document.place(at)[0]).parent, options[key], key)
+        found = read_named_file(Path(c.bench_document.place(at)[0]).parent, name, key)
     except InvalidFile as error:
         c.problems.extend(problem for problem in error.problems if problem not in c.problems)
         return None
     except ValueError as error:
         c.fault(at, str(error))
         return None
-    text = found if isinstance(found, str) else document_text(found)
-    return found if _keep(c, options[key], text, at) else None
+    text = found if isinstance(found, str) else found.text if isinstance(found, Plant) else document_text(found)
+    if name == "protocol.yaml" or c.texts.setdefault(name, text) != text:
+        c.fault(at, f'in the record of a run another file is called "{name}"; give this one another name')
+        return None
+    return found
 
 
-def read_named_file(folder: Path, name: str, key: str) -> Document | str:
-    """The map, or the text of the DBC file (Latin-1), that the option `key` of a file in `folder` names.
+def read_named_file(folder: Path, name: str, key: str) -> Document | str | Plant:
+    """The map, the text of the DBC file (Latin-1) or the plant that the option `key` of a file in `folder` names.
 
     Raises ValueError for a file that is elsewhere or cannot be read, InvalidFile for one that is no YAML.
     """
-    path = _path_named(folder, name, key)
-    if key == MAP:
-        return read_document(path)
+    path, suffix = Path(name), Path(FILES[key]).suffix
+    if path.is_absolute() or ".." in path.parts or path.suffix.lower() != suffix:
+        raise ValueError(f'a {suffix} file next to this one is expected, for instance "{FILES[key]}", not "{name}"')
+    path = folder / path
+    if key != DBC:
+        return read_document(path) if key == MAP else read_plant(path)
     try:
         with path.open("rb") as stream:
             data = stream.read(LONGEST + 1)
@@ -215,11 +198,3 @@ def read_named_file(folder: Path, name: str, key: str) -> Document | str:
     if len(data) > LONGEST:
         raise ValueError(f"{name} is longer than {LONGEST} bytes")
     return data.decode("latin-1")
-
-
-def _path_named(folder: Path, name: str, key: str) -> Path:
-    path, example = Path(name), FILES[key]
-    suffix = Path(example).suffix
-    if path.is_absolute() or ".." in path.parts or path.suffix.lower() != suffix:
-        raise ValueError(f'a {suffix} file next to this one is expected, for instance "{example}", not "{name}"')
-    return folder / path

@@ -102,16 +102,15 @@ def as_expected(expected: ExpectedFile, specimen: SpecimenFile, highest: float, 
     """
     points = sorted(expected.points, key=lambda point: point.pressure)
     highest = max(points[-1].pressure, highest)
-    curves: dict[str, Any] = {}
-    for symbol in ("K", "B_c", "B_r"):
-        values = [[point.pressure, getattr(point, symbol)] for point in points]
-        curves[symbol] = {"points": _to(0.0, values) + _to(highest, values)}
+    low = [(0.0, points[0])] if points[0].pressure > 0 else []
+    high = [(highest, points[-1])] if highest > points[-1].pressure else []
+    at = [*low, *((point.pressure, point) for point in points), *high]
     numbers = {
         **_common(specimen, highest, "expected"),
         "law": "three-element",
         "stop": specimen.limits.contraction * specimen.nominal_length * 1.2,
         "F_ce": {"points": _force(points, highest)},
-        **curves,
+        **{symbol: {"points": [[P, getattr(point, symbol)] for P, point in at]} for symbol in ("K", "B_c", "B_r")},
         "friction": {"F_s": 1.5 * expected.F_c, "F_c": expected.F_c, "speed": 1e-3},
         "diameter": 0.0,
         "braid_angle": 0.0,
@@ -127,14 +126,18 @@ def of_specimen(specimen: SpecimenFile, highest: float) -> PredictedMuscle:
         surface, factors = known.surface, TYPE_FACTORS
         source = f"type {known.name} of the library ({known.source}), force +-20 %, friction and damping assumed"
     else:
-        angle = specimen.braid_angle if specimen.braid_angle is not None else BRAID_ANGLE
+        angle, braid = _braid(specimen)
         surface, factors = braid_surface(specimen.inner_diameter, angle), BRAID_FACTORS
-        assumed = "" if specimen.braid_angle is not None else " (assumed)"
-        source = (
-            f"a braid of {show(specimen.inner_diameter, 'length')} and {show(angle, 'angle')}{assumed}, of which a"
-            " muscle has between half and all of the force; friction and damping assumed"
-        )
+        force = "of which a muscle has between half and all of the force"
+        source = f"a braid of {braid}, {force}; friction and damping assumed"
     return by_surface(surface, specimen, highest, source, factors)
+
+
+def _braid(specimen: SpecimenFile) -> tuple[float, str]:
+    """Angle of a specimen's braid [rad], and the braid in words."""
+    angle = specimen.braid_angle if specimen.braid_angle is not None else BRAID_ANGLE
+    assumed = "" if specimen.braid_angle is not None else " (assumed)"
+    return angle, f"{show(specimen.inner_diameter, 'length')} and {show(angle, 'angle')}{assumed}"
 
 
 def by_surface(
@@ -209,13 +212,6 @@ def _coefficients(surface: Surface, specimen: SpecimenFile, highest: float, sour
     return ExpectedFile.model_construct(source=source, F_c=FRICTION * float(np.median(force)), points=points)
 
 
-def _to(end: float, values: list[list[float]]) -> list[list[float]]:
-    """Extend a table to `end`: [end, value at the nearest point] at the lower end, the whole table at the upper end."""
-    if end <= values[0][0]:
-        return [[end, values[0][1]]] if end < values[0][0] else []
-    return [*values, *([[end, values[-1][1]]] if end > values[-1][0] else [])]
-
-
 def _force(points: list[Any], highest: float) -> list[list[float]]:
     """F_ce [N] over pressure [Pa], extrapolated linearly beyond the points and never below 0."""
     known = [[point.pressure, point.F_ce] for point in points]
@@ -265,14 +261,8 @@ follow_lag: 5 ms
 
 PLANT = "plant"
 """Name of the only device."""
-INPUTS = {
-    "pressure": "pressure",
-    "displacement": "displacement",
-    "force": "force",
-    "supply": "supply",
-    "pressure_command": "pressure_set",
-    "displacement_command": "displacement_set",
-}
+INPUTS = {name: name for name in ("pressure", "displacement", "force", "supply")}
+INPUTS |= {f"{name}_command": f"{name}_set" for name in ("pressure", "displacement")}
 """Channel of a bench -> input of the simulated one."""
 NOISE = 2e-4
 """Standard deviation of the noise of each channel, as a fraction of its range."""
@@ -334,16 +324,9 @@ def options_of(muscle: PredictedMuscle, mounted: Mounted) -> dict[str, Any]:
     """Options of the mock driver for a predicted muscle; sensor noise is in proportion to the channels' ranges."""
     if mounted.bench_file.muscles:
         return muscle.numbers
-    noise = {
-        channel.name: NOISE * (channel.high - channel.low)
-        for channel in mounted.bench.channels
-        if channel.name in ("pressure", "displacement", "force")
-    }
-    numbers = {
-        **muscle.numbers,
-        "noise": {name: noise.get(name, 0.0) for name in ("pressure", "displacement", "force")},
-    }
-    return {"plant": numbers, "carriage": mounted.bench.carriage or 0.5}
+    spans = {channel.name: channel.high - channel.low for channel in mounted.bench.channels}
+    noise = {name: NOISE * spans.get(name, 0.0) for name in ("pressure", "displacement", "force")}
+    return {"plant": {**muscle.numbers, "noise": noise}, "carriage": mounted.bench.carriage or 0.5}
 
 
 def highest_pressure(mounted: Mounted) -> float:
@@ -384,7 +367,7 @@ def several(mounted: Mounted) -> tuple[dict[str, Any], str]:
     Raises UsageError if the bench file lacks the dimensions of the joint, or has another free end.
     """
     file, specimen = mounted.bench_file, mounted.specimen_file
-    angle = specimen.braid_angle if specimen.braid_angle is not None else BRAID_ANGLE
+    angle, braid = _braid(specimen)
     muscle = {
         "diameter": specimen.inner_diameter,
         "length": specimen.mounted.length or specimen.nominal_length,
@@ -396,18 +379,12 @@ def several(mounted: Mounted) -> tuple[dict[str, Any], str]:
     elif file.joint is not None:
         options = {"plant": "joint", "built": {**muscle, **_joint(mounted)}}
     else:
-        raise UsageError(
-            f'"{file.name}" has several muscles that turn neither a joint nor a platform, and nothing else of several '
-            "muscles can be simulated: check without --simulate, which still checks limits and times of the plan"
-        )
+        what = f'"{file.name}" has several muscles that turn neither a joint nor a platform'
+        remedy = "check without --simulate, which still checks limits and times of the plan"
+        raise UsageError(f"{what}, and nothing else of several muscles can be simulated: {remedy}")
     options["free_end"] = "actuator" if driven(mounted) else "weights"
-    assumed = "" if specimen.braid_angle is not None else " (assumed)"
-    source = (
-        f"{len(file.muscles)} muscles of paper 3 of {show(specimen.inner_diameter, 'length')} and "
-        f"{show(angle, 'angle')}{assumed}, of whose force a muscle has between half and all; hysteresis, damping, "
-        "inertia, regulators and valves assumed"
-    )
-    return options, source
+    source = f"{len(file.muscles)} muscles of paper 3 of {braid}, of whose force a muscle has between half and all"
+    return options, f"{source}; hysteresis, damping, inertia, regulators and valves assumed"
 
 
 def _joint(mounted: Mounted) -> Mapping[str, float]:
@@ -415,9 +392,8 @@ def _joint(mounted: Mounted) -> Mapping[str, float]:
     found = {} if joint is None else {"pulley": joint.pulley, "contraction": joint.contraction}
     numbers = {name: value for name, value in found.items() if value is not None}
     if missing := sorted(set(found) - set(numbers)):
-        raise UsageError(
-            f'"{mounted.bench.name}" does not say on which radius its muscles pull and how far they are contracted at '
-            f"angle 0 ({' and '.join(missing)} missing), and a joint cannot be simulated without: add "
-            '"pulley: 25 mm, contraction: 10 %" with your numbers to "joint" in the bench file'
-        )
+        what = "does not say on which radius its muscles pull and how far they are contracted at angle 0"
+        lacks = f"{what} ({' and '.join(missing)} missing), and a joint cannot be simulated without"
+        remedy = 'add "pulley: 25 mm, contraction: 10 %" with your numbers to "joint" in the bench file'
+        raise UsageError(f'"{mounted.bench.name}" {lacks}: {remedy}')
     return numbers

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import pairwise
-from math import cos, exp, isfinite, sin, sqrt, tan
+from math import comb, cos, exp, isfinite, sin, sqrt, tan
 from pathlib import Path
 from typing import Any
 
@@ -140,10 +140,9 @@ def _beyond_the_law(document: Document, file: DaerdenFile) -> Iterator[Problem]:
 def _beyond_paper_2(document: Document, file: ContractorFile) -> Iterator[Problem]:
     """Problems outside the validity of a contractor's formulas (paper 2 eqs. 8-9)."""
     if file.highest_pressure > PAPER_2 * (1 + 1e-9):
-        known_range = f"paper 2's contractors are known up to {show(PAPER_2, 'pressure')}"
-        yield document.problem(
-            ("highest_pressure",), f"{known_range}, not to {show(file.highest_pressure, 'pressure')}"
-        )
+        known, given = show(PAPER_2, "pressure"), show(file.highest_pressure, "pressure")
+        text = f"paper 2's contractors are known up to {known}, not to {given}"
+        yield document.problem(("highest_pressure",), text)
     a, b = 3 / tan(file.braid_angle) ** 2, 1 / sin(file.braid_angle) ** 2
     furthest = (1 - sqrt(b / a)) / (1 + exp(-file.highest_pressure / 1e5))
     if file.reach[1] > furthest:
@@ -223,10 +222,8 @@ class _Curves:
             return self._si(reading, "pressure", at) / pressure
 
         breaks = [printed(edge, (symbol, "breaks", i), 0.0) for i, edge in enumerate(given.breaks or [])]
-        centre, scale = (
-            printed(given.centre, (symbol, "centre"), 0.0),
-            printed(given.scale, (symbol, "scale"), 1.0),
-        )
+        centre = printed(given.centre, (symbol, "centre"), 0.0)
+        scale = printed(given.scale, (symbol, "scale"), 1.0)
         low = high = None
         if given.domain is not None:
             low, high = (printed(end, (symbol, "domain", i), 0.0) for i, end in enumerate(given.domain))
@@ -292,15 +289,12 @@ class _Curves:
 
 def _expanded(coefficients: Sequence[float], centre: float, scale: float) -> Piece:
     """Expand a polynomial of (P - centre) / scale into one of P, in exact arithmetic until the final rounding."""
-    result: list[Fraction] = [Fraction(0)]
-    for coefficient in reversed(coefficients):
-        shifted = [Fraction(0), *(c / Fraction(scale) for c in result)]
-        for n, c in enumerate(result):
-            shifted[n] -= c * Fraction(centre) / Fraction(scale)
-        shifted[0] += Fraction(coefficient)
-        result = shifted
+    terms, shift = [Fraction(c) / Fraction(scale) ** n for n, c in enumerate(coefficients)], -Fraction(centre)
     try:
-        return [float(c) for c in result[: len(coefficients)]]
+        return [
+            float(sum(term * comb(n, k) * shift ** (n - k) for n, term in enumerate(terms[k:], k)))
+            for k in range(len(terms))
+        ]
     except OverflowError:
         return [float("inf")]
 
@@ -317,21 +311,20 @@ def _turns(coefficients: Sequence[float], low: float, high: float) -> list[float
     slope = [n * c for n, c in enumerate(coefficients)][1:]
     if len(slope) < 2:
         return [low, high]
-    ends = _turns(slope, low, high)
-    zeros = []
-    for left, right in pairwise(ends):
-        if _value(slope, left) * _value(slope, right) >= 0:
-            zeros.append(right)
-            continue
-        rising = _value(slope, right) > 0
-        for _ in range(60):
-            middle = (left + right) / 2
-            if (_value(slope, middle) > 0) == rising:
-                right = middle
-            else:
-                left = middle
-        zeros.append(right)
+    zeros = [
+        right if _value(slope, left) * _value(slope, right) >= 0 else _zero(slope, left, right)
+        for left, right in pairwise(_turns(slope, low, high))
+    ]
     return sorted({low, *zeros, high})
+
+
+def _zero(coefficients: Sequence[float], low: float, high: float) -> float:
+    """Where the polynomial changes its sign between `low` and `high`."""
+    rising = _value(coefficients, high) > 0
+    for _ in range(60):
+        middle = (low + high) / 2
+        low, high = (low, middle) if (_value(coefficients, middle) > 0) == rising else (middle, high)
+    return high
 
 
 def _extremes(curve: dict[str, Any], highest: float) -> Iterator[tuple[float, float]]:
@@ -361,10 +354,7 @@ def _way_out(curve: dict[str, Any], highest: float) -> str:
     if "points" in curve:
         return "a muscle cannot push: give 0 N there"
     piece, pressure = curve["pieces"][0], curve["pressure"]
-    low, high = 0.0, highest / pressure
-    if not _value(piece, low) < 0 < _value(piece, high):
+    if not _value(piece, 0.0) < 0 < _value(piece, highest / pressure):
         return "a muscle cannot push"
-    for _ in range(60):
-        middle = (low + high) / 2
-        low, high = (low, middle) if _value(piece, middle) > 0 else (middle, high)
-    return f"a muscle cannot push: give 0 as a separate piece up to the break at {high * pressure / 1e3:.10g} kPa"
+    zero = _zero(piece, 0.0, highest / pressure) * pressure
+    return f"a muscle cannot push: give 0 as a separate piece up to the break at {zero / 1e3:.10g} kPa"

@@ -17,10 +17,8 @@ def lacks(c: Compilation) -> Iterator[str]:
     yield from _air(c)
     yield from _calibrations(c)
     if c.bench.weights is not None and c.bench.weights.catch_height is None:
-        yield (
-            "no catch height: venting drops a raised stack; remedy: a catch under the stack and "
-            '"catch_height", or "ramp_down: pressure" before the dump valve opens'
-        )
+        remedy = 'a catch under the stack and "catch_height", or "ramp_down: pressure" before the dump valve opens'
+        yield f"no catch height: venting drops a raised stack; remedy: {remedy}"
     if c.bench.time == "real":
         yield from _of_a_real_bench(c)
 
@@ -32,10 +30,8 @@ def _air(c: Compilation) -> Iterator[str]:
     never = least.limits.pressure.never_above
     if air.relief_valve == "none":
         most = show(never, "pressure") if isfinite(never) else "what the muscle bears"
-        yield (
-            f"no relief valve: software is the only thing between the supply of {show(air.supply, 'pressure')} and the "
-            f"muscle; remedy: one that opens below {most}"
-        )
+        alone = f"software is the only thing between the supply of {show(air.supply, 'pressure')} and the muscle"
+        yield f"no relief valve: {alone}; remedy: one that opens below {most}"
     elif air.relief_valve >= never:
         place = least.place("pressure", "never_above")
         opens = show(air.relief_valve, "pressure")
@@ -44,16 +40,12 @@ def _air(c: Compilation) -> Iterator[str]:
         most = f"{show(output.high, 'pressure')} ({output.high_from})"
         c.fault(("air", "relief_valve"), f"opens below what may be commanded, {most}")
     if c.bench.pressures and not c.bench.normally_open_dump:
-        yield (
-            "no normally-open dump valve: pressure stays on when the power or the computer fails; "
-            'remedy: "dump_valve" among the outputs with "energised: closed"'
-        )
+        remedy = '"dump_valve" among the outputs with "energised: closed"'
+        yield f"no normally-open dump valve: pressure stays on when the power or the computer fails; remedy: {remedy}"
     if output is not None and air.supply < output.high + SUPPLY_MARGIN:
-        yield (
-            f"a supply of {show(air.supply, 'pressure')}, less than {show(SUPPLY_MARGIN, 'pressure')} above the "
-            f"highest set-point {show(output.high, 'pressure')}: high set-points are not reached; "
-            'remedy: more supply, or a lower "command"'
-        )
+        supply, margin, highest = (show(P, "pressure") for P in (air.supply, SUPPLY_MARGIN, output.high))
+        few = f"a supply of {supply}, less than {margin} above the highest set-point {highest}"
+        yield f'{few}: high set-points are not reached; remedy: more supply, or a lower "command"'
 
 
 CALIBRATED = ("pressure", "displacement", "force", "torque")
@@ -66,10 +58,8 @@ def _calibrations(c: Compilation) -> Iterator[str]:
         if record.valid_until and record.valid_until < c.today.isoformat():
             yield f"an expired calibration of {name}, {record.id}, valid until {record.valid_until}; remedy: a new one"
         if c.bench.time == "real" and not record.id and without_number(name)[0] in CALIBRATED:
-            yield (
-                f"no calibration of {name}: its uncertainty counts as zero in limits and results; "
-                'remedy: a file in calibrations/ and "calibration"'
-            )
+            remedy = 'a file in calibrations/ and "calibration"'
+            yield f"no calibration of {name}: its uncertainty counts as zero in limits and results; remedy: {remedy}"
 
 
 def _pressure_elsewhere(c: Compilation) -> Iterator[str]:
@@ -78,18 +68,14 @@ def _pressure_elsewhere(c: Compilation) -> Iterator[str]:
     guarded |= {name for name, file in c.bench.devices.items() if file.watchdog}
     apart = [c.channels[name] for name in c.bench.pressures if name in c.channels]
     for channel in [channel for channel in apart if channel.device not in guarded]:
-        yield (
-            f"its {channel.name} on {channel.device}, which only measures "
-            f"({c.place('channels', channel.name, 'device')}): the "
-            "guard holds no link to it, so that after the program died no vent is confirmed; remedy: the pressure on a "
-            "device that carries an output, valve, interlock or watchdog, too"
-        )
-
+        where = f"{channel.device}, which only measures ({c.place('channels', channel.name, 'device')})"
+        why = "the guard holds no link to it, so that after the program died no vent is confirmed"
+        remedy = "the pressure on a device that carries an output, valve, interlock or watchdog, too"
+        yield f"its {channel.name} on {where}: {why}; remedy: {remedy}"
     if c.extrapolated:
-        yield (
-            f"trips beyond the points of a calibration: {'; '.join(c.extrapolated)}; the margin above the command "
-            "limit counts it; remedy: points up to the trip, where the reference and the muscle allow it"
-        )
+        beyond = f"trips beyond the points of a calibration: {'; '.join(c.extrapolated)}"
+        remedy = "points up to the trip, where the reference and the muscle allow it"
+        yield f"{beyond}; the margin above the command limit counts it; remedy: {remedy}"
 
 
 LEAVES = {
@@ -115,10 +101,8 @@ def _watchdogs(c: Compilation) -> Iterator[str]:
             yield f"no watchdog of {device}, accepted by {accepted.accepted_by} on {accepted.date}: {accepted.reason}"
         else:
             other = "" if what == LEAVES["angle"] else "else a normally-open dump valve on one that has; "
-            yield (
-                f"no watchdog of {device}: a computer that dies leaves {what}; remedy: "
-                f'"watchdog" where the device has one, {other}or "no_watchdog" with who accepts it'
-            )
+            remedy = f'"watchdog" where the device has one, {other}or "no_watchdog" with who accepts it'
+            yield f"no watchdog of {device}: a computer that dies leaves {what}; remedy: {remedy}"
 
 
 def _drives(c: Compilation) -> Iterator[str]:
@@ -127,15 +111,11 @@ def _drives(c: Compilation) -> Iterator[str]:
     below = {watched_by(key) for key, one in c.bench.limits.items() if one.trip_low and one.action in ENDS}
     for name in [name for name in DRIVES if name in c.outputs and name in c.channels]:
         if name not in watched:
-            yield (
-                f"nothing that sees a drive that goes where it was not sent; remedy: "
-                f'"watch: [{{following: {name}, more_than: {AT_LEAST[name]}, for: 300 ms, action: vent}}]"'
-            )
+            remedy = f'"watch: [{{following: {name}, more_than: {AT_LEAST[name]}, for: 300 ms, action: vent}}]"'
+            yield f"nothing that sees a drive that goes where it was not sent; remedy: {remedy}"
         if name not in below:
-            yield (
-                f"no lower limit of the {name}, to which a drive may stretch the muscle; remedy: "
-                f'"limits: {{{name}: {{trip_low: ..., action: vent}}}}"'
-            )
+            remedy = f'"limits: {{{name}: {{trip_low: ..., action: vent}}}}"'
+            yield f"no lower limit of the {name}, to which a drive may stretch the muscle; remedy: {remedy}"
 
 
 BEYOND = 1.5
@@ -148,10 +128,8 @@ def _hasty_confirmations(c: Compilation) -> Iterator[str]:
     needs = 1.5 * longest + BEYOND
     for action in c.bench.safe_state:
         if longest and action.confirm and action.within is not None and action.within < needs:
-            yield (
-                f"{action.within:g} s to confirm {action.confirm}: a device that does not obey is left to its watchdog "
-                f"of {longest:g} s, and not heard before that; remedy: within {needs:g} s or more"
-            )
+            why = f"a device that does not obey is left to its watchdog of {longest:g} s, and not heard before that"
+            yield f"{action.within:g} s to confirm {action.confirm}: {why}; remedy: within {needs:g} s or more"
 
 
 def _of_a_real_bench(c: Compilation) -> Iterator[str]:
@@ -166,19 +144,14 @@ def _of_a_real_bench(c: Compilation) -> Iterator[str]:
     watched = {(entry.kind, entry.channel) for entry in c.bench.watch if entry.action in {"stop", "vent"}}
     moving = {entry.channel for entry in c.bench.watch if entry.kind in {"frozen", "following"}}
     for name in [n for n in c.bench.pressures if n in c.channels and not {("stale", n), ("frozen", n)} & watched]:
-        yield (
-            "nothing that sees a dead pressure sensor; remedy: "
-            f'"watch: [{{stale: {name}, for: 100 ms, action: vent}}, {{off_range: {name}, action: vent}}]"'
-        )
+        remedy = f'"watch: [{{stale: {name}, for: 100 ms, action: vent}}, {{off_range: {name}, action: vent}}]"'
+        yield f"nothing that sees a dead pressure sensor; remedy: {remedy}"
     for name in [n for n in c.bench.pressures if n in c.channels and n not in moving]:
-        yield (
-            f'nothing that sees that "{name}" stands still while its device answers: it would confirm a vent; remedy: '
-            f'"watch: [{{following: {name}, more_than: 60 kPa, for: 3 s, action: stop}}]"'
-        )
+        still = f'nothing that sees that "{name}" stands still while its device answers: it would confirm a vent'
+        yield f'{still}; remedy: "watch: [{{following: {name}, more_than: 60 kPa, for: 3 s, action: stop}}]"'
     if c.bench.proof is None:
-        yield (
-            'no proof of the vent path before each use; remedy: "proof: {pressure: 50 kPa, below: 20 kPa, within: 2 s}"'
-        )
+        remedy = '"proof: {pressure: 50 kPa, below: 20 kPa, within: 2 s}"'
+        yield f"no proof of the vent path before each use; remedy: {remedy}"
 
 
 UNCOVERED = 0.1
@@ -203,7 +176,5 @@ def _of_another_range(c: Compilation, channel: ChannelRecord, low: float, high: 
     if high - low > TOO_WIDE * (channel.high - channel.low):
         yield f"{place} {channel.calibration.id} has points from {points}: is it the calibration of this sensor?"
     elif channel.low < low - allowed or channel.high > high + allowed:
-        yield (
-            f"{place} {channel.calibration.id} covers {points} only: what lies beyond is not calibrated; "
-            "give points up to there, or a smaller range"
-        )
+        covers = f"{channel.calibration.id} covers {points} only: what lies beyond is not calibrated"
+        yield f"{place} {covers}; give points up to there, or a smaller range"

@@ -10,15 +10,9 @@ from collections.abc import Collection, Iterator
 from pmabench.base.quantities import CHANNEL_QUANTITY, show, without_number
 from pmabench.bench.channels import refuse_unsafe_order
 from pmabench.bench.compilation import Compilation
-from pmabench.bench.files.bench import LimitFile, SafeActionFile, WatchFile
+from pmabench.bench.files.safety import LimitFile, SafeActionFile, WatchFile
 from pmabench.bench.files.specimen import Reading
-from pmabench.bench.interface import (
-    ChannelRecord,
-    InterlockRecord,
-    ProofTest,
-    SafeAction,
-    TripRecord,
-)
+from pmabench.bench.interface import ChannelRecord, InterlockRecord, ProofTest, SafeAction, TripRecord
 from pmabench.files.document import Location
 
 LONGEST_DELAY = 1.0
@@ -33,16 +27,8 @@ SUPPLY_DELAY = 1.0
 HANDS = 50e3
 """Highest pressure at which hands may go in [Pa]: that from which on vessels count as under pressure (2014/68/EU)."""
 
-LIMIT_CHANNEL = {
-    "pressure": "pressure",
-    "force": "force",
-    "contraction": "displacement",
-    "displacement": "displacement",
-    "angle": "angle",
-    "torque": "torque",
-    "supply": "supply",
-}
-"""Key of `limits`, without the number of a muscle -> the watched channel."""
+LIMIT_CHANNEL = {"contraction": "displacement"}
+"""Key of `limits`, without the number of a muscle -> the watched channel, if that has another name."""
 RATE_OF = {
     "pressure": "pressure rate",
     "length": "speed",
@@ -51,6 +37,8 @@ RATE_OF = {
     "torque": "torque rate",
 }
 """Quantity -> its rate of change."""
+BOUNDS = {"rate": "faster_than", "following": "more_than", "burst": "falls"}
+"""Kind of watch -> its key for what it allows at most."""
 ENDS = ("stop", "vent")
 """Actions that release the pressure."""
 
@@ -58,7 +46,7 @@ ENDS = ("stop", "vent")
 def watched_by(limit: str) -> str:
     """Channel that a limit watches: `displacement_2` for `contraction_2`."""
     name, number = without_number(limit)
-    return LIMIT_CHANNEL[name] + number
+    return LIMIT_CHANNEL.get(name, name) + number
 
 
 def trips(c: Compilation) -> Iterator[TripRecord]:
@@ -143,21 +131,15 @@ def _bound(c: Compilation, name: str, reading: Reading | None, key: str) -> floa
 
 def _inside(c: Compilation, at: Location, value: float, channel: ChannelRecord) -> None:
     """Require a trip inside the channel's range, and not far outside the calibrated one."""
-    quantity = channel.quantity
+    quantity, trip = channel.quantity, f"the trip {show(value, channel.quantity)}"
     if not channel.low < value < channel.high:
         span = f"{show(channel.low, quantity)} to {show(channel.high, quantity)}"
-        c.fault(
-            at, f"the trip {show(value, quantity)} is not inside the channel's range, {span}: it would never be seen"
-        )
+        c.fault(at, f"{trip} is not inside the channel's range, {span}: it would never be seen")
     elif (beyond := _beyond(c, channel, value)) > EXTRAPOLATED:
         low, high = c.calibrated[channel.name]
-        most = show(EXTRAPOLATED * (high - low), quantity)
-        c.fault(
-            at,
-            f"the trip {show(value, quantity)} is not inside the calibration {channel.calibration.id}, "
-            f"{show(low, quantity)} to {show(high, quantity)}, nor within {most} of it: calibrate with points nearer "
-            "to the trip, or move the trip nearer to them",
-        )
+        span, most = f"{show(low, quantity)} to {show(high, quantity)}", show(EXTRAPOLATED * (high - low), quantity)
+        off = f"{trip} is not inside the calibration {channel.calibration.id}, {span}, nor within {most} of it"
+        c.fault(at, f"{off}: calibrate with points nearer to the trip, or move the trip nearer to them")
     elif beyond > 0:
         known = show(channel.calibration.uncertainty(value) + _extrapolation(c, channel, value), quantity)
         c.extrapolated.append(f"{show(value, quantity)} of {channel.name} ({channel.calibration.id}; +-{known} there)")
@@ -185,11 +167,9 @@ def _above_commands(c: Compilation, name: str, high: float, channel: ChannelReco
     margin += c.bench.air.overshoot if output.quantity == "pressure" else 0.0
     if high <= output.high or high < output.high + margin * (1 - 1e-9):
         shown, least = show(high, channel.quantity), show(margin, channel.quantity)
-        c.fault(
-            ("limits", name, "trip"),
-            f"the trip {shown} must lie at least {least} (uncertainty and overshoot) above the command limit "
-            f"{show(output.high, channel.quantity)} ({output.high_from})",
-        )
+        limit = f"the command limit {show(output.high, channel.quantity)} ({output.high_from})"
+        text = f"the trip {shown} must lie at least {least} (uncertainty and overshoot) above {limit}"
+        c.fault(("limits", name, "trip"), text)
 
 
 def _below_commands(c: Compilation, name: str, low: float, channel: ChannelRecord) -> None:
@@ -246,11 +226,9 @@ def _supply(c: Compilation) -> Iterator[TripRecord]:
     if limit is not None and limit.trip_low is not None:
         given = _bound(c, "supply", limit.trip_low, "trip_low") or 0.0
         if given < least:
-            c.fault(
-                ("limits", "supply", "trip_low"),
-                f"must lie at least {show(SUPPLY_MARGIN, 'pressure')} above the highest set-point, "
-                f"{show(output.high, 'pressure')} ({output.high_from})",
-            )
+            highest = f"the highest set-point, {show(output.high, 'pressure')} ({output.high_from})"
+            text = f"must lie at least {show(SUPPLY_MARGIN, 'pressure')} above {highest}"
+            c.fault(("limits", "supply", "trip_low"), text)
         return
     place: Location = ("channels", "supply")
     _inside(c, (*place, "range"), least, supply)
@@ -267,30 +245,25 @@ def _watch(c: Compilation, index: int, entry: WatchFile) -> TripRecord | None:
     delay, window = entry.for_ or 0.0, entry.within or 0.0
     low: float | None = None
     high: float | None = None
-    if kind == "rate":
-        high = _above_zero(c, entry.faster_than, RATE_OF[quantity], (*at, "faster_than"))
-    elif kind == "following":
-        high = _above_zero(c, entry.more_than, quantity, (*at, "more_than"))
-        if name not in c.bench.set_points:
-            c.fault(
-                (*at, kind), f'nothing commands "{name}"; what is commanded here: {", ".join(c.outputs) or "nothing"}'
-            )
-    elif kind == "burst":
-        high = _above_zero(c, entry.falls, quantity, (*at, "falls"))
-        if high is not None and high >= channel.high - channel.low:
-            c.fault((*at, "falls"), "is more than the channel can measure: it would never be seen")
-    elif kind == "slack":
-        low = c.si(entry.below, quantity, (*at, "below")) if entry.below else None
-        if low is not None:
-            _inside(c, (*at, "below"), low, channel)
+    if bound := BOUNDS.get(kind):
+        rate_or_value = RATE_OF[quantity] if kind == "rate" else quantity
+        high = _above_zero(c, getattr(entry, bound), rate_or_value, (*at, bound))
+        if kind == "following" and name not in c.bench.set_points:
+            commanded = ", ".join(c.outputs) or "nothing"
+            c.fault((*at, kind), f'nothing commands "{name}"; what is commanded here: {commanded}')
+        elif kind == "burst" and high >= channel.high - channel.low:
+            c.fault((*at, bound), "is more than the channel can measure: it would never be seen")
+    elif entry.below:
+        low = c.si(entry.below, quantity, (*at, "below"))
+        _inside(c, (*at, "below"), low, channel)
     if kind in {"stale", "frozen"} and delay <= 0:
         c.fault((*at, "for"), "a time above zero is expected: every channel is silent between two samples")
     return TripRecord(name, low, high, delay, entry.action, c.place(*at), kind.replace("_", "-"), window)
 
 
-def _above_zero(c: Compilation, reading: Reading | None, quantity: str, at: Location) -> float | None:
+def _above_zero(c: Compilation, reading: Reading, quantity: str, at: Location) -> float:
     before = len(c.problems)
-    value = c.si(reading, quantity, at) if reading is not None else 0.0
+    value = c.si(reading, quantity, at)
     if value <= 0 and len(c.problems) == before:
         c.fault(at, "a value above zero is expected")
     return value
@@ -440,9 +413,8 @@ def _in_order(c: Compilation, actions: tuple[SafeAction, ...]) -> None:
             c.fault(("vents",), f'"{name}" is missing: say when each muscle vents, or "together"')
     places = [next((n for n, a in enumerate(actions) if a.target == name), -1) for name in declared or ()]
     if places != sorted(places) or len(set(places)) < len(places):
-        c.fault(
-            ("safe_state",), f"is not in the order that is declared: {', '.join(declared or ())} ({c.place('vents')})"
-        )
+        order = f"{', '.join(declared or ())} ({c.place('vents')})"
+        c.fault(("safe_state",), f"is not in the order that is declared: {order}")
 
 
 def interlocks(c: Compilation) -> dict[str, list[InterlockRecord]]:

@@ -9,7 +9,7 @@ from functools import cached_property
 
 from pmabench.base.quantities import in_words, show
 from pmabench.bench.compilation import Compilation
-from pmabench.bench.files.bench import SelfTestFile, SessionFile
+from pmabench.bench.files.session import SelfTestFile, SessionFile
 from pmabench.files.document import Location
 
 TOLERANCE = 1e-3
@@ -163,11 +163,9 @@ def session(c: Compilation, setup: float) -> Session | None:
     if (file := c.bench.session) is None:
         return None
     if c.bench.platform is not None:
-        c.fault(
-            ("session",),
-            "self-test, warm-up and zeros need an output that commands the pressure of each muscle, and a platform has "
-            "valves: leave the section out; `check` names what to do by hand",
-        )
+        what = "self-test, warm-up and zeros need an output that commands the pressure of each muscle"
+        remedy = "leave the section out; `check` names what to do by hand"
+        c.fault(("session",), f"{what}, and a platform has valves: {remedy}")
         return None
     warm_up = None
     if file.warm_up is not None:
@@ -181,17 +179,13 @@ def session(c: Compilation, setup: float) -> Session | None:
 def lacks_session(c: Compilation) -> Iterator[str]:
     """A line if a real bench has no session; continues the sentence "this bench has"."""
     if c.bench.time == "real" and c.bench.platform is not None:
-        yield (
-            "no session, for self-test, warm-up and zeros need outputs that command pressures: wiring and zeros are "
-            'not looked at; remedy: before the first run, "pmabench bench read" each channel without pressure, and see '
-            "by hand that each valve moves the pressure of the muscle that it is for"
-        )
+        why = "for self-test, warm-up and zeros need outputs that command pressures: wiring and zeros are not looked at"
+        remedy = 'before the first run, "pmabench bench read" each channel without pressure, and see by hand'
+        yield f"no session, {why}; remedy: {remedy} that each valve moves the pressure of the muscle that it is for"
     elif c.bench.time == "real" and c.bench.session is None:
         first = c.bench.pressures[0] if c.bench.muscles else "pressure"
-        yield (
-            "no session: no warm-up, no zeros, no self-test before the first pressure; remedy: "
-            f'"session: {{self_test: {{}}, warm_up: {{pressure: 300 kPa}}, zeros: {{{first}: {{most: 5 kPa}}}}}}"'
-        )
+        parts = f"{{self_test: {{}}, warm_up: {{pressure: 300 kPa}}, zeros: {{{first}: {{most: 5 kPa}}}}}}"
+        yield f'no session: no warm-up, no zeros, no self-test before the first pressure; remedy: "session: {parts}"'
 
 
 def _commanded(c: Compilation, pressure: float, at: Location) -> None:
@@ -247,12 +241,6 @@ def _self_test(c: Compilation, file: SessionFile, setup: float) -> SelfTest | No
     for name, reading in given.noise.items():
         if not c.unknown((*at, "noise", name), "channel", name, c.bench.channels) and name in c.channels:
             noise[name] = c.si(reading, c.channels[name].quantity, (*at, "noise", name))
-    return SelfTest(
-        points=tuple(highest * (index + 1) / count for index in range(count)),
-        settle=given.settle,
-        load=_mass(c, given.load, (*at, "load")),
-        noise=noise,
-        linearity=given.linearity,
-        alignment=given.alignment,
-        leak=given.leak,
-    )
+    points, load = tuple(highest * (index + 1) / count for index in range(count)), _mass(c, given.load, (*at, "load"))
+    same = given.model_dump(include={"settle", "linearity", "alignment", "leak"})
+    return SelfTest(points=points, load=load, noise=noise, **same)

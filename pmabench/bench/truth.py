@@ -6,9 +6,9 @@ bench file under test.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, ParamSpec, TypeVar
 
 from pydantic import Field
 
@@ -22,6 +22,8 @@ from pmabench.files.document import Document, Location, Strict, read_document, v
 from pmabench.files.quantity import unit_factor
 from pmabench.files.shipped import shipped_folder
 
+T = TypeVar("T")
+P = ParamSpec("P")
 Line = tuple[tuple[Reading, Reading], tuple[Reading, Reading]]
 """Two points of a straight line."""
 Terminal = Annotated[str, Field(min_length=1, max_length=80)]
@@ -138,11 +140,8 @@ class _Device:
 
     def record(self) -> b.DeviceRecord:
         """The wired device, with a placeholder as address."""
-        file, name, driver = self.file, self.name, ""
-        try:
-            driver = driver_class(file.driver)
-        except ValueError as error:
-            self.fault(("driver",), str(error))
+        file, name = self.file, self.name
+        driver = self._tried(("driver",), "", driver_class, file.driver)
         channels, outputs = [], []
         for terminal, sensor in file.inputs.items():
             what, at = sensor.measures, ("inputs", terminal)
@@ -188,18 +187,18 @@ class _Device:
         return first
 
     def _si(self, reading: tuple[float, str], quantity: str, at: Location) -> float:
-        try:
-            return reading[0] * unit_factor(reading[1], quantity)
-        except ValueError as error:
-            self.fault(at, str(error))
-            return 0.0
+        return reading[0] * self._tried(at, 0.0, unit_factor, reading[1], quantity)
 
     def _line(self, raw: list[float], value: list[float], at: Location) -> b.Scale:
+        return self._tried(at, b.Scale(), fit_line, raw, value)
+
+    def _tried(self, at: Location, otherwise: T, act: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
+        """The result of `act`; its ValueError is a problem, and gives `otherwise`."""
         try:
-            return fit_line(raw, value)
+            return act(*args, **kwargs)
         except ValueError as error:
             self.fault(at, str(error))
-            return b.Scale()
+            return otherwise
 
     def _options(self) -> dict[str, Any]:
         """Options, with the names of a register map or DBC file next to this file replaced by its content."""
@@ -208,7 +207,7 @@ class _Device:
             if isinstance(name := options.get(key), str):
                 try:
                     found = read_named_file(self._folder, name, key)
-                    options[key] = found if isinstance(found, str) else found.data
+                    options[key] = found.data if isinstance(found, Document) else found
                 except InvalidFile as error:
                     self.problems += error.problems
                 except ValueError as error:

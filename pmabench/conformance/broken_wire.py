@@ -75,10 +75,8 @@ def _in_silence(rig: rigs.Rig, device: Any) -> list[str]:
         before = len(sent(rig))
         answer = rig.call(f"{what} in silence", act).judged(within)
         if not isinstance(answer, DeviceError) and not what.startswith("collect"):
-            raise rigs.Failed(
-                f"{what} in silence gave {answer!r} as if all were well; what was not answered is a DeviceError, never "
-                "an answer from memory"
-            )
+            expected = "what was not answered is a DeviceError, never an answer from memory"
+            raise rigs.Failed(f"{what} in silence gave {answer!r} as if all were well; {expected}")
         answers.append(str(answer))
         time.sleep(0.05)
         for output in rig.record.outputs if what.startswith("write") else ():
@@ -133,10 +131,8 @@ def late_answers(rig: rigs.Rig) -> str:
                 continue
             holds += [safe] if rig.logged("watchdog") else []  # the driver was silent for that long
             if not any(near(output, held, one) for one in holds):
-                raise rigs.Failed(
-                    f"read_back() gave {held!r} where the device holds {holds[-1]:g}: the answer to an older question "
-                    "was taken; drain the line after a time-out"
-                )
+                why = "the answer to an older question was taken; drain the line after a time-out"
+                raise rigs.Failed(f"read_back() gave {held!r} where the device holds {holds[-1]:g}: {why}")
     return f"three late answers, no value mixed up ({refused} questions refused meanwhile)"
 
 
@@ -181,10 +177,8 @@ def nothing_left(rig: rigs.Rig) -> str:
         while (left := _left())[1] > before[1] or left[0] - before[0]:
             if time.monotonic() > until:
                 threads = ", ".join(sorted(left[0] - before[0])) or "none"
-                raise rigs.Failed(
-                    f"{SETTLES:g} s after close() on a {wire} wire there are {left[1] - before[1]} more open files or "
-                    f"connections than before, and threads: {threads}"
-                )
+                more = f"{left[1] - before[1]} more open files or connections than before, and threads: {threads}"
+                raise rigs.Failed(f"{SETTLES:g} s after close() on a {wire} wire there are {more}")
             time.sleep(0.05)
     return "no thread, no file and no connection"
 
@@ -199,18 +193,14 @@ def _refuse_growth(rig: rigs.Rig, device: Any) -> None:
                 rig.call(what, act).judged(rigs.COLLECTS_WITHIN)
     after = _left()
     if max(after[1] - before[1], len(after[0] - before[0])) >= MANY:
-        raise rigs.Failed(
-            f"{MANY} rounds of {', '.join(what for what, _ in asked)} leave {after[1] - before[1]} open files or "
-            f"connections and {len(after[0] - before[0])} threads"
-        )
+        left = f"{after[1] - before[1]} open files or connections and {len(after[0] - before[0])} threads"
+        raise rigs.Failed(f"{MANY} rounds of {', '.join(what for what, _ in asked)} leave {left}")
 
 
 def _left() -> tuple[frozenset[str], int]:
     """Names of the living threads, and number of open files."""
-    names = frozenset(
-        f"{thread.name} ({thread.ident})" for thread in threading.enumerate() if not thread.name.startswith("link-")
-    )
-    return names, rigs.open_files()
+    threads = [thread for thread in threading.enumerate() if not thread.name.startswith("link-")]
+    return frozenset(f"{thread.name} ({thread.ident})" for thread in threads), rigs.open_files()
 
 
 class Battle:

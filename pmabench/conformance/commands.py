@@ -11,7 +11,7 @@ from typing import Any
 from pmabench.base.errors import DeviceError
 from pmabench.base.quantities import show
 from pmabench.bench.interface import OutputRecord, ValveRecord
-from pmabench.conformance.rig import CALLS_WITHIN, COLLECTS_WITHIN, Failed, Late, NotChecked, Rig, Truth
+from pmabench.conformance.rig import CALLS_WITHIN, COLLECTS_WITHIN, Failed, Late, NotChecked, Rig
 from pmabench.conformance.samples import RATE, Recording, record, tolerance
 from pmabench.guard.limits import to_device
 
@@ -22,6 +22,7 @@ MOVES = 5.0
 EXACT = 2e-4
 """Tolerance of the plant's set-point, as a fraction of the output's range, in addition to its resolution."""
 NOWHERE = "no-such-output"
+FROM_MEMORY = "it answers from memory; ask the device at each call"
 LONG_KNOWN = 5
 """How often an input is asked before it changes, every 0.1 s: a driver may keep answers for some tenths of a second."""
 
@@ -61,23 +62,23 @@ def close_enough(output: OutputRecord) -> float:
     return EXACT * (output.high - output.low) + abs(output.scale.slope) * output.resolution
 
 
-def commanded(truth: Truth, output: OutputRecord) -> float:
+def commanded(rig: Rig, output: OutputRecord) -> float:
     """Set-point of the plant's regulator or actuator [SI]; raises NotChecked without one."""
-    if (found := truth.now().get(f"{output.name}_command")) is None:
+    if (found := rig.plant.quantities().get(f"{output.name}_command")) is None:
         raise NotChecked(f"the emulated plant has no {output.name} that is commanded")
     return float(found)
 
 
-def reaches(rig: Rig, truth: Truth, output: OutputRecord, value: float, within: float = ARRIVES) -> bool:
+def reaches(rig: Rig, output: OutputRecord, value: float, within: float = ARRIVES) -> bool:
     """Whether the plant's set-point becomes `value` [device units] in time; the driver is not called meanwhile."""
     wanted, most = float(output.scale.to_si(value)), close_enough(output)
-    return _soon(rig, within, lambda: abs(commanded(truth, output) - wanted) <= most)
+    return _soon(rig, within, lambda: abs(commanded(rig, output) - wanted) <= most)
 
 
-def _travel(rig: Rig, truth: Truth, output: OutputRecord, value: float) -> None:
+def _travel(rig: Rig, output: OutputRecord, value: float) -> None:
     """Wait for an actuator to arrive, feeding the watchdog, whose vent would stop it or move it there."""
     until = rig.bench_clock.now() + MOVES
-    while not reaches(rig, truth, output, value, 0.05) and rig.bench_clock.now() < until:
+    while not reaches(rig, output, value, 0.05) and rig.bench_clock.now() < until:
         rig.feed()
 
 
@@ -96,21 +97,18 @@ def dump_of(valves: Sequence[ValveRecord]) -> ValveRecord | None:
     return named[0] if named else None
 
 
-def refuse_position(
-    rig: Rig, truth: Truth, valve: ValveRecord, *, on: bool, after: str, by_itself: bool = False
-) -> None:
+def refuse_position(rig: Rig, valve: ValveRecord, *, on: bool, after: str, by_itself: bool = False) -> None:
     """Raise Failed if a valve's coil, or the dump valve itself, is not as commanded.
 
     `by_itself`: the device has switched the valve without a command.
     """
-    if not by_itself and not _soon(rig, ARRIVES, lambda: truth.coil(valve) is on):
+    if not by_itself and not _soon(rig, ARRIVES, lambda: rig.coil(valve) is on):
         raise Failed(f"{valve.name}: after {after} the device has it otherwise; is the valve inverted, or another one?")
     is_open = on != (valve.energised == "closed")
-    if valve is dump_of(rig.record.valves) and truth.dump_open() is not is_open:
+    if valve is dump_of(rig.record.valves) and rig.plant.dump_open() is not is_open:
         words = {True: "open", False: "closed"}
-        raise Failed(
-            f"{valve.name}: after {after} it is {words[not is_open]} in the plant; {words[is_open]} is expected"
-        )
+        expected = f"{words[is_open]} is expected"
+        raise Failed(f"{valve.name}: after {after} it is {words[not is_open]} in the plant; {expected}")
 
 
 def _refuse_nowhere(rig: Rig, *calls: str) -> None:
@@ -128,36 +126,33 @@ def _refuse_nowhere(rig: Rig, *calls: str) -> None:
 
 def set_points(rig: Rig) -> str:
     """A value is commanded once and at once, the plant gets it in SI, and it is read back as the device holds it."""
-    truth = rig.truth()
     with rig.opened(rate=RATE):
         for output in rig.record.outputs:
             moves = output.quantity == "length"
             for share in (0.4, 0.07, 0.0) if moves else (0.93, 0.37, 0.013, 0.0):
-                _one_set_point(rig, truth, output, at(output, share), moves=moves)
+                _one_set_point(rig, output, at(output, share), moves=moves)
         _refuse_nowhere(rig, "write", "read_back")
     return f"{len(rig.record.outputs)} outputs: the plant gets each value [SI], once; it is read back, others stay"
 
 
-def _one_set_point(rig: Rig, truth: Truth, output: OutputRecord, value: float, *, moves: bool) -> None:
+def _one_set_point(rig: Rig, output: OutputRecord, value: float, *, moves: bool) -> None:
     device, before = rig.device, len(sent(rig))
-    others = {o.name: commanded(truth, o) for o in rig.record.outputs if o is not output}
-    coils = {valve.name: truth.coil(valve) for valve in rig.record.valves}
+    others = {o.name: commanded(rig, o) for o in rig.record.outputs if o is not output}
+    coils = {valve.name: rig.coil(valve) for valve in rig.record.valves}
     si = show(float(output.scale.to_si(value)), output.quantity)
     rig.call(f"write({value:g})", device.write, output.output, value).nothing()
     if moves:
-        began = truth.now()[f"{output.name}_command"]
-        _soon(rig, ARRIVES, lambda: abs(commanded(truth, output) - began) > close_enough(output))
-        _travel(rig, truth, output, value)
-    if not reaches(rig, truth, output, value):
-        got = show(commanded(truth, output), output.quantity)
-        raise Failed(
-            f"{output.name}: {si} ({value:g}) was written, and the plant has {got}; is it another unit, sign or "
-            "output, or did nothing leave?"
-        )
+        began = rig.plant.quantities()[f"{output.name}_command"]
+        _soon(rig, ARRIVES, lambda: abs(commanded(rig, output) - began) > close_enough(output))
+        _travel(rig, output, value)
+    if not reaches(rig, output, value):
+        got = show(commanded(rig, output), output.quantity)
+        why = "is it another unit, sign or output, or did nothing leave?"
+        raise Failed(f"{output.name}: {si} ({value:g}) was written, and the plant has {got}; {why}")
     for other in rig.record.outputs:
-        if other.name in others and abs(commanded(truth, other) - others[other.name]) > close_enough(other):
+        if other.name in others and abs(commanded(rig, other) - others[other.name]) > close_enough(other):
             raise Failed(f"writing {output.name} has changed {other.name}; are these outputs swapped?")
-    if coils != {valve.name: truth.coil(valve) for valve in rig.record.valves}:
+    if coils != {valve.name: rig.coil(valve) for valve in rig.record.valves}:
         raise Failed(f"writing {output.name} has switched a valve")
     held = rig.call("read_back()", device.read_back, output.output).good()
     if isinstance(held, bool) or not near(output, held, value):
@@ -165,10 +160,10 @@ def _one_set_point(rig: Rig, truth: Truth, output: OutputRecord, value: float, *
     times = times_sent(rig, output, value, before)
     if times > 1 or (sent(rig) and not times):
         raise Failed(f"{output.name}: one write() sent the value {times} times; once is expected")
-    _shown(rig, truth, output)
+    _shown(rig, output)
 
 
-def _shown(rig: Rig, truth: Truth, output: OutputRecord) -> None:
+def _shown(rig: Rig, output: OutputRecord) -> None:
     """Raise Failed unless the channel for the command of this output, if there is one, shows it."""
     for channel in rig.record.channels if rig.streams() else ():
         if channel.name != f"{output.name}_command":
@@ -176,7 +171,7 @@ def _shown(rig: Rig, truth: Truth, output: OutputRecord) -> None:
         rig.pass_time(0.15)
         rig.call("collect()", rig.device.collect).good(COLLECTS_WITHIN)
         found = record(rig, 0.2, Recording(rig.record.channels)).si(channel)
-        real = commanded(truth, output)
+        real = commanded(rig, output)
         if not found:
             raise Late(f"no sample of {channel.name} came within 0.2 s")
         if abs(found[-1] - real) > tolerance(channel):
@@ -186,14 +181,13 @@ def _shown(rig: Rig, truth: Truth, output: OutputRecord) -> None:
 
 def valves(rig: Rig) -> str:
     """A valve is energised or not in the plant as it was commanded, others stay, and the device reports which."""
-    truth = rig.truth()
     with rig.opened() as device:
         for valve in rig.record.valves:
             for on in (True, False, True, False):
-                others = {v.name: truth.coil(v) for v in rig.record.valves if v is not valve}
+                others = {v.name: rig.coil(v) for v in rig.record.valves if v is not valve}
                 rig.call(f"switch(on={on})", device.switch, valve.output, on=on).nothing()
-                refuse_position(rig, truth, valve, on=on, after=f"switch(on={on})")
-                if others != {v.name: truth.coil(v) for v in rig.record.valves if v is not valve}:
+                refuse_position(rig, valve, on=on, after=f"switch(on={on})")
+                if others != {v.name: rig.coil(v) for v in rig.record.valves if v is not valve}:
                     raise Failed(f"switching {valve.name} has switched another valve")
                 if (shown := rig.call("is_on()", device.is_on, valve.output).good()) is not on:
                     raise Failed(f"{valve.name} was switched {'on' if on else 'off'} and is_on() gives {shown!r}")
@@ -205,10 +199,10 @@ def valves(rig: Rig) -> str:
 
 def inputs(rig: Rig) -> str:
     """A digital input is high or low as the emulated contact is now, also after it changed."""
-    truth, fixed = rig.truth(), [lock.name for lock in rig.record.interlocks if "stop" not in lock.name]
+    fixed = [lock.name for lock in rig.record.interlocks if "stop" not in lock.name]
     with rig.opened():
         for pressed in (False, True, False):
-            truth.e_stop(pressed=pressed)
+            rig.plant.fail("e_stop_at", over=not pressed)
             rig.wait(0.1)  # unfed, as an answer may be kept from the last feed
             for _ in range(LONG_KNOWN):
                 _levels(rig, fixed, pressed=pressed)
@@ -226,109 +220,103 @@ def _levels(rig: Rig, fixed: Collection[str], *, pressed: bool) -> None:
             raise Failed(f"level() of {lock.name} gave {level!r}; True or False is expected")
         safe = not pressed or lock.name in fixed
         if level != ((lock.safe == "high") == safe):
-            raise Failed(
-                f"level() of {lock.name} gave {level}; the emulated contact is {'safe' if safe else 'unsafe'}, "
-                f"and {lock.safe} is safe"
-            )
+            real = f"the emulated contact is {'safe' if safe else 'unsafe'}, and {lock.safe} is safe"
+            raise Failed(f"level() of {lock.name} gave {level}; {real}")
 
 
 def from_outside(rig: Rig) -> str:
     """What changes without the driver is read back as it is, or refused: nothing is answered from memory."""
-    truth, unchecked = rig.truth(), []
+    unchecked = []
     why = getattr(rig.driver(), "cannot_read_back", "")
     for way in ("by hand", "after a restart"):
         for output in rig.record.outputs:
             with rig.opened() as device:
                 rig.call("write()", device.write, output.output, at(output, 0.4)).good()
-                reaches(rig, truth, output, at(output, 0.4), MOVES if output.quantity == "length" else ARRIVES)
+                reaches(rig, output, at(output, 0.4), MOVES if output.quantity == "length" else ARRIVES)
                 rig.call("read_back()", device.read_back, output.output).judged()  # what was read may be kept, too
-                if why or not _changes(rig, truth, way, output.output, at(output, 0.2)):
+                if why or not _changes(rig, way, output.output, at(output, 0.2)):
                     unchecked.append(f"{output.name} {way} ({why or 'the emulator has no such change'})")
                     continue
                 held = rig.call("read_back()", device.read_back, output.output).judged()
-                if not isinstance(held, DeviceError) and not _is_held(truth, output, held):
-                    real = show(commanded(truth, output), output.quantity)
+                if not isinstance(held, DeviceError) and not _is_held(rig, output, held):
+                    real = show(commanded(rig, output), output.quantity)
                     raise Failed(
-                        f"{output.name} was changed to {real} ({way}), and read_back() gives {held!r}: it answers from "
-                        "memory; ask the device at each call"
+                        f"{output.name} was changed to {real} ({way}), and read_back() gives {held!r}: {FROM_MEMORY}"
                     )
         for valve in rig.record.valves:
             with rig.opened() as device:
                 rig.call("switch(on=True)", device.switch, valve.output, on=True).good()
                 rig.call("is_on()", device.is_on, valve.output).judged()
-                if not _changes(rig, truth, way, valve.output, 0.0):
+                if not _changes(rig, way, valve.output, 0.0):
                     unchecked.append(f"{valve.name} {way} (the emulator has no such change)")
                     continue
                 shown = rig.call("is_on()", device.is_on, valve.output).judged()
-                if not isinstance(shown, DeviceError) and shown is not bool(truth.coil(valve)):
-                    raise Failed(
-                        f"{valve.name} was switched off ({way}), and is_on() gives {shown!r}: it answers from memory; "
-                        "ask the device at each call"
-                    )
+                if not isinstance(shown, DeviceError) and shown is not bool(rig.coil(valve)):
+                    raise Failed(f"{valve.name} was switched off ({way}), and is_on() gives {shown!r}: {FROM_MEMORY}")
     if unchecked:
         raise NotChecked(f"{', '.join(unchecked)}; the others are read back as they are")
     return "set-points and valves changed at the device itself, and by a restart, are read back as they are"
 
 
-def _changes(rig: Rig, truth: Truth, way: str, output: str, value: float) -> bool:
+def _changes(rig: Rig, way: str, output: str, value: float) -> bool:
     """Change an output without the driver; whether that was possible."""
     done = True
     if way == "after a restart":
         rig.restart()
     else:
-        done = truth.by_hand(output, value)
+        done = rig.by_hand(output, value)
     rig.wait(0.1)
     return done
 
 
-def _is_held(truth: Truth, output: OutputRecord, held: Any) -> bool:
+def _is_held(rig: Rig, output: OutputRecord, held: Any) -> bool:
     if isinstance(held, bool) or not isinstance(held, float | int):
         return False
-    return abs(float(output.scale.to_si(held)) - commanded(truth, output)) <= close_enough(output)
+    return abs(float(output.scale.to_si(held)) - commanded(rig, output)) <= close_enough(output)
 
 
 # -- the safe state ---------------------------------------------------------------------------------------------------
 
 
-def lift(rig: Rig, truth: Truth | None = None) -> None:
+def lift(rig: Rig, *, checked: bool = True) -> None:
     """Leave the safe state: valves energised, outputs up."""
     for valve in rig.record.valves:
         rig.call("switch(on=True)", rig.device.switch, valve.output, on=True).nothing()
     for output in rig.record.outputs:
         rig.call("write()", rig.device.write, output.output, at(output, 0.3)).nothing()
-        if truth is not None and output.quantity == "pressure" and not reaches(rig, truth, output, at(output, 0.3)):
+        if checked and output.quantity == "pressure" and not reaches(rig, output, at(output, 0.3)):
             raise Failed(f"{output.name} was written, and did not arrive in the plant: see the check of set-points")
 
 
-def refuse_unsafe(rig: Rig, truth: Truth, after: str, *, by_itself: bool = False) -> None:
+def refuse_unsafe(rig: Rig, after: str, *, by_itself: bool = False) -> None:
     """Raise Failed if an output is not at its safe value in the plant, or a valve is energised.
 
     `by_itself`: the device has vented without a command; a drive then only stops.
     """
     for valve in rig.record.valves:
-        refuse_position(rig, truth, valve, on=False, after=after, by_itself=by_itself)
+        refuse_position(rig, valve, on=False, after=after, by_itself=by_itself)
     for output in rig.record.outputs:
         safe = raw(output, output.safe)
         if output.quantity == "length":
             if by_itself:
                 continue
-            _travel(rig, truth, output, safe)
-        if not reaches(rig, truth, output, safe):
-            raise Failed(f"{output.name} is at {show(commanded(truth, output), output.quantity)} in the plant {after}")
+            _travel(rig, output, safe)
+        if not reaches(rig, output, safe):
+            raise Failed(f"{output.name} is at {show(commanded(rig, output), output.quantity)} in the plant {after}")
 
 
 def safe_state(rig: Rig) -> str:
     """The commands of a safe state are quick, may be repeated, and leave the plant safe."""
-    truth, slowest = rig.truth(), 0.0
+    slowest = 0.0
     with rig.opened() as device:
-        lift(rig, truth)
+        lift(rig)
         acts = [("write(safe)", partial(device.write, o.output, raw(o, o.safe))) for o in rig.record.outputs]
         acts += [("switch(safe)", partial(device.switch, v.output, on=False)) for v in rig.record.valves]
         for what, act in 3 * acts:
             done = rig.call(what, act)
             done.nothing()
             slowest = max(slowest, done.seconds)
-        refuse_unsafe(rig, truth, "the commands of the safe state, sent three times")
+        refuse_unsafe(rig, "the commands of the safe state, sent three times")
     return f"three times over, safe in the plant; the slowest command took {1e3 * slowest:.0f} ms"
 
 
@@ -346,9 +334,9 @@ def _rescued(device: Any, name: str, value: float) -> float:
 
 def second_way(rig: Rig) -> str:
     """`rescue` reaches every output and valve in the plant while the usual call hangs."""
-    truth, slowest = rig.truth(), 0.0
+    slowest = 0.0
     with rig.opened() as device:
-        lift(rig, truth)
+        lift(rig)
         first = threading.Lock()
         first.acquire()
         threading.Thread(target=lambda: rig.call("a call that hangs", first.acquire), daemon=True).start()
@@ -358,12 +346,12 @@ def second_way(rig: Rig) -> str:
             for name, value in (*tried, *safe):
                 slowest = max(slowest, _rescued(device, name, value))
                 for out in rig.record.outputs if (name, value) in tried else ():
-                    if out.output == name and not reaches(rig, truth, out, value):
-                        got = show(commanded(truth, out), out.quantity)
+                    if out.output == name and not reaches(rig, out, value):
+                        got = show(commanded(rig, out), out.quantity)
                         raise Failed(f"{out.name}: after rescue() with {value:g} the plant has {got}")
         finally:
             first.release()
         if slowest > CALLS_WITHIN + 0.3:
             raise Failed(f"rescue() took {slowest:.2f} s; at most {CALLS_WITHIN:g} s is allowed")
-        refuse_unsafe(rig, truth, "rescue() with the safe values")
+        refuse_unsafe(rig, "rescue() with the safe values")
     return f"took {1e3 * slowest:.0f} ms from another thread, while the device's own thread hung; safe in the plant"

@@ -11,7 +11,7 @@ from pmabench.base.quantities import show
 from pmabench.bench.interface import OutputRecord, Segment, Watchdog
 from pmabench.conformance.commands import MOVES, at, close_enough, commanded, lift, near, reaches, refuse_unsafe
 from pmabench.conformance.relay import silence
-from pmabench.conformance.rig import Failed, Late, Rig, Truth
+from pmabench.conformance.rig import Failed, Late, Rig
 from pmabench.conformance.samples import RATE
 
 BEHIND = 0.12
@@ -24,37 +24,36 @@ NOTICED = 0.5
 
 def ramps(rig: Rig) -> str:
     """A ramp and a sine are followed to their end, at their time, in the plant; the next write ends them."""
-    truth = rig.truth()
     with rig.opened(rate=RATE) as device:
         for output in rig.record.outputs:
             origin, target = at(output, 0.1), at(output, 0.4)
             swing = at(output, 0.05) - at(output, 0.0)
-            _begin_at(rig, truth, output, origin)
+            _begin_at(rig, output, origin)
             ramp = Segment("ramp", rig.bench_clock.now(), origin, target, rate=abs(target - origin) / 1.0)
-            _watch(rig, truth, output, ramp, 1.0)
+            _watch(rig, output, ramp, 1.0)
             sine = Segment("sine", rig.bench_clock.now() + 0.3, target, amplitude=swing, frequency=1.0, cycles=1.0)
-            _watch(rig, truth, output, sine, 1.0)
+            _watch(rig, output, sine, 1.0)
             back = Segment("ramp", rig.bench_clock.now(), target, origin, rate=abs(target - origin) / 2.0)
             rig.call("follow()", device.follow, output.output, back).nothing()
             rig.pass_time(0.4)
             rig.call("write()", device.write, output.output, target).nothing()
             rig.pass_time(0.6)
             held = rig.call("read_back()", device.read_back, output.output).good()
-            if not near(output, held, target) or not reaches(rig, truth, output, target):
+            if not near(output, held, target) or not reaches(rig, output, target):
                 raise Failed(f"{output.name}: {target:g} was written and the device still follows: it holds {held!r}")
     return "a ramp and a sine of 1 s, in the plant as they were commanded, and a write ends them"
 
 
-def _begin_at(rig: Rig, truth: Truth, output: OutputRecord, value: float) -> None:
+def _begin_at(rig: Rig, output: OutputRecord, value: float) -> None:
     rig.call("write()", rig.device.write, output.output, value).nothing()
     until = rig.bench_clock.now() + MOVES
-    while not reaches(rig, truth, output, value, 0.05):
+    while not reaches(rig, output, value, 0.05):
         rig.feed()
         if rig.bench_clock.now() > until:
             raise Failed(f"{output.name}: {value:g} was written and did not arrive in the plant within {MOVES:g} s")
 
 
-def _watch(rig: Rig, truth: Truth, output: OutputRecord, segment: Segment, lasts: float) -> None:
+def _watch(rig: Rig, output: OutputRecord, segment: Segment, lasts: float) -> None:
     """Raise Failed if the plant's set-point deviates from the segment, or does not end at its end."""
 
     def value(moment: float) -> float:
@@ -68,7 +67,7 @@ def _watch(rig: Rig, truth: Truth, output: OutputRecord, segment: Segment, lasts
     seen, reached, fed = [], [], clock.now()
     while clock.now() < segment.start + lasts + 2 * BEHIND:
         before = clock.now()
-        got = commanded(truth, output)
+        got = commanded(rig, output)
         reached.append(got)
         around = [float(si(value(before + BEHIND * step / 6))) for step in range(-12, 4)]
         seen.append(max(min(around) - got, got - max(around), 0.0))
@@ -79,19 +78,15 @@ def _watch(rig: Rig, truth: Truth, output: OutputRecord, segment: Segment, lasts
     room = close_enough(output) + 0.02 * abs(float(si(value(segment.start + lasts / 4))) - float(si(segment.origin)))
     off = [distance for distance in seen if distance > room]
     if len(off) > 0.1 * len(seen):
-        raise Late(
-            f"{output.name}: the plant's set-point is up to {show(max(off), output.quantity)} away from the "
-            f"{segment.kind} that was commanded ({len(off)} of {len(seen)} looks)"
-        )
+        away = f"up to {show(max(off), output.quantity)} away from the {segment.kind} that was commanded"
+        raise Late(f"{output.name}: the plant's set-point is {away} ({len(off)} of {len(seen)} looks)")
     crests = [float(si(segment.origin + sign * segment.amplitude)) for sign in (-1, 1)]
     if max(reached) - min(reached) < 0.8 * abs(crests[1] - crests[0]):
-        swing = show(max(reached) - min(reached), output.quantity)
-        raise Late(
-            f"{output.name}: a sine from crest to crest of {show(crests[1] - crests[0], output.quantity)} is {swing}"
-        )
+        swing, wanted = (show(max(ends) - min(ends), output.quantity) for ends in (reached, crests))
+        raise Late(f"{output.name}: a sine from crest to crest of {wanted} is {swing}")
     end = segment.target if segment.kind == "ramp" else segment.origin
-    if not reaches(rig, truth, output, end, 0.5):
-        left = show(commanded(truth, output), output.quantity)
+    if not reaches(rig, output, end, 0.5):
+        left = show(commanded(rig, output), output.quantity)
         raise Failed(f"{output.name}: a {segment.kind} to {show(float(si(end)), output.quantity)} ended at {left}")
     held = rig.call("read_back()", rig.device.read_back, output.output).good()
     if not near(output, held, end):
@@ -100,19 +95,18 @@ def _watch(rig: Rig, truth: Truth, output: OutputRecord, segment: Segment, lasts
 
 def halts(rig: Rig) -> str:
     """`halt` stops a ramp where it is, and holds."""
-    truth = rig.truth()
     with rig.opened(rate=RATE) as device:
         for output in rig.record.outputs:
             origin, target = at(output, 0.1), at(output, 0.4)
-            _begin_at(rig, truth, output, origin)
+            _begin_at(rig, output, origin)
             ramp = Segment("ramp", rig.bench_clock.now(), origin, target, rate=abs(target - origin) / 1.5)
             rig.call("follow()", device.follow, output.output, ramp).nothing()
             rig.pass_time(0.7)
             rig.call("halt()", device.halt, output.output).nothing()
             rig.pass_time(0.2)
-            stopped = commanded(truth, output)
+            stopped = commanded(rig, output)
             rig.pass_time(0.5)
-            after = commanded(truth, output)
+            after = commanded(rig, output)
             low, high = sorted(float(output.scale.to_si(value)) for value in (origin, target))
             if abs(after - stopped) > 2 * close_enough(output):
                 raise Failed(f"{output.name}: 0.2 s after halt() it still moves in the plant")
@@ -125,17 +119,16 @@ def halts(rig: Rig) -> str:
 def watchdog(rig: Rig) -> str:
     """Armed, it says the time that the device holds; fed, it is quiet; without that the device vents at that time."""
     asked = rig.record.watchdog
-    truth = rig.truth()
     with rig.opened(armed=False) as device:
         armed = _arm(rig, device)
-        lift(rig, truth)
+        lift(rig)
         _feed(rig, device, 1.5 * asked)
         rig.call("disarm_watchdog()", device.disarm_watchdog).nothing()
         rig.wait(asked + LATEST)
         if rig.logged("watchdog"):
             raise Failed(f"the device vented {asked:g} s after disarm_watchdog()")
         armed = _arm(rig, device)
-        lift(rig, truth)
+        lift(rig)
         _feed(rig, device, 0.3)
         rig.wait(armed + LATEST + 0.25)
         if not (fired := rig.logged("watchdog")):
@@ -147,7 +140,7 @@ def watchdog(rig: Rig) -> str:
         for valve in rig.record.valves:
             if rig.call("is_on()", device.is_on, valve.output).judged() is True:
                 raise Failed(f"{valve.name} is on after the device's own vent")
-        refuse_unsafe(rig, truth, "the device's own vent", by_itself=True)
+        refuse_unsafe(rig, "the device's own vent", by_itself=True)
     return f"holds {armed:g} s; fed it is quiet, disarmed too; after {silent:.2f} s of silence the plant is vented"
 
 
@@ -186,9 +179,8 @@ def held(rig: Rig) -> str:
         if not isinstance(after, DeviceError):
             after = rig.call("held()", device.held).judged()
         if not isinstance(after, DeviceError) and not _difference(before, after):
-            raise Failed(
-                "held() is as before after the emulated device was switched off and on: it answers from memory"
-            )
+            why = "after the emulated device was switched off and on: it answers from memory"
+            raise Failed(f"held() is as before {why}")
     if rig.relays:
         _silent(rig)
     return f"{reported}; a fired or disarmed watchdog, a restart and silence are seen"
@@ -217,22 +209,21 @@ def _reports_watchdog(rig: Rig, device: Any, before: Mapping[str, Any]) -> None:
         if not isinstance(after, DeviceError) and after.get("watchdog") == shown:
             raise Failed(f'held() says "watchdog" is {shown!r} after it was switched off at the device: it remembers')
         rig.call("arm_watchdog()", device.arm_watchdog, rig.record.watchdog).good()
-    lift(rig)
+    lift(rig, checked=False)
     counting = _held(rig, device)
     if getattr(rig.server, "expire_watchdog", bool)():
         rig.wait(NOTICED)
         after = rig.call("held()", device.held).judged()
         if not (isinstance(after, DeviceError) or _difference(counting, after) or _outputs_show_it(rig, device)):
-            raise Failed(
-                f"the watchdog has fired, held() is as before ({', '.join(after)}), and outputs and valves are read "
-                "back as they were commanded: nothing shows that the device has vented"
+            same = (
+                f"held() is as before ({', '.join(after)}), and outputs and valves are read back as they were commanded"
             )
+            raise Failed(f"the watchdog has fired, {same}: nothing shows that the device has vented")
         armed = rig.call("arm_watchdog()", device.arm_watchdog, rig.record.watchdog).good()
     rig.call("disarm_watchdog()", device.disarm_watchdog).nothing()
     if _held(rig, device).get("watchdog", 0) not in {0, before.get("watchdog", 0)}:
-        raise Failed(
-            'held() says that the "watchdog" is on after disarm_watchdog(); 0 is expected, or what it was before'
-        )
+        expected = "0 is expected, or what it was before"
+        raise Failed(f'held() says that the "watchdog" is on after disarm_watchdog(); {expected}')
 
 
 def _outputs_show_it(rig: Rig, device: Any) -> bool:

@@ -10,7 +10,7 @@ import re
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -21,8 +21,8 @@ from typing import Any
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError, UsageError
 from pmabench.base.system import registered
-from pmabench.bench.interface import Device, DeviceRecord, Identity, Rescue, Stream, Supervised, ValveRecord, Watchdog
-from pmabench.bench.interface import Truth as Wiring
+from pmabench.bench import interface as b
+from pmabench.bench.interface import DeviceRecord, Identity, Truth, ValveRecord
 from pmabench.conformance.relay import Relay, SerialRelay, TcpRelay
 from pmabench.guard.owner import PATIENCE, Call, Owner
 
@@ -133,73 +133,13 @@ class State:
     supply: bool = True
 
 
-class Truth:
-    """The emulator's plant and the log of the emulated device; quantities are SI, by channel name."""
-
-    def __init__(self, record: DeviceRecord, emulator: Any, another: Callable[[], Any]) -> None:
-        self._record, self._emulator, self._another = record, emulator, another
-
-    @property
-    def _plant(self) -> Any:
-        return self._emulator().plant
-
-    def now(self) -> Mapping[str, float]:
-        """Present value of the quantity of each channel [SI]."""
-        return dict(self._plant.quantities())
-
-    def at(self, moment: float) -> Mapping[str, float]:
-        """The same at a moment [s, monotonic]."""
-        return dict(self._plant.at(moment))
-
-    def coil(self, valve: ValveRecord) -> bool | None:
-        """Last command to a valve: True if energised; None without one."""
-        entries = [e for e in self._emulator().log.of("switch", self._record.name) if e.get("valve") == valve.name]
-        return bool(entries[-1]["on"]) if entries else None
-
-    def dump_open(self) -> bool:
-        """Whether the dump valve is open in the plant."""
-        return bool(self._plant.dump_open())
-
-    def bring(self, state: State) -> None:
-        """Bring the plant to a state."""
-        plant = self._plant
-        if self._record.valves:
-            plant.switch(on=True)
-        plant.fail("supply_lost_at", over=state.supply)
-        plant.command(state.pressure)
-        if any(output.quantity == "length" for output in self._record.outputs):
-            return  # the device's own drive moves the end, and would trip if it were moved otherwise
-        if "displacement_command" in self.now():
-            plant.drive(state.position, SPEED)
-        else:
-            plant.load(state.force, MASS)
-
-    def e_stop(self, *, pressed: bool) -> None:
-        """Press or release the emergency stop."""
-        self._plant.fail("e_stop_at", over=not pressed)
-
-    def by_hand(self, output: str, value: float) -> bool:
-        """Change an output without the driver, by its keys or by a second driver; whether that is possible."""
-        own = getattr(self._emulator().devices[self._record.name], "by_hand", None)
-        if own is not None:
-            own(output, value)
-            return True
-        if (another := self._another()) is None:
-            return False
-        try:
-            another.rescue(output, value)
-        except DeviceError:
-            return False
-        return True
-
-
 class Rig:
     """The device of one record; `wiring` is the content of its truth file, if it has one.
 
     `relays`: where bytes can be damaged.
     """
 
-    def __init__(self, record: DeviceRecord, folder: Path, wiring: Wiring | None = None) -> None:
+    def __init__(self, record: DeviceRecord, folder: Path, wiring: Truth | None = None) -> None:
         self._folder, self._wiring = folder, wiring
         self.bench_clock = RealClock()
         self.asked = record
@@ -260,15 +200,54 @@ class Rig:
     def emulator(self) -> Any:
         """The emulator; raises Failed without one."""
         if self._emulator is None:
-            raise Failed(
-                f"{self.record.driver} has no emulator, and nothing else is tried (docs/drivers.md): {self._unserved}"
-            )
+            why = f"nothing else is tried (docs/drivers.md): {self._unserved}"
+            raise Failed(f"{self.record.driver} has no emulator, and {why}")
         return self._emulator
 
     @property
     def server(self) -> Any:
         """The emulated device."""
         return self.emulator.devices[self.record.name]
+
+    # -- without the driver ---------------------------------------------------------------------------------------
+
+    @property
+    def plant(self) -> Any:
+        """The emulated plant; its quantities are SI, by channel name."""
+        return self.emulator.plant
+
+    def coil(self, valve: ValveRecord) -> bool | None:
+        """Last command to a valve: True if energised; None without one."""
+        entries = [entry for entry in self.logged("switch") if entry.get("valve") == valve.name]
+        return bool(entries[-1]["on"]) if entries else None
+
+    def bring(self, state: State) -> None:
+        """Bring the plant to a state."""
+        plant = self.plant
+        if self.record.valves:
+            plant.switch(on=True)
+        plant.fail("supply_lost_at", over=state.supply)
+        plant.command(state.pressure)
+        if any(output.quantity == "length" for output in self.record.outputs):
+            return  # the device's own drive moves the end, and would trip if it were moved otherwise
+        if "displacement_command" in plant.quantities():
+            plant.drive(state.position, SPEED)
+        else:
+            plant.load(state.force, MASS)
+
+    def by_hand(self, output: str, value: float) -> bool:
+        """Change an output by the device's keys or by a second driver; whether that is possible."""
+        own = getattr(self.server, "by_hand", None)
+        if own is not None:
+            own(output, value)
+            return True
+        if not issubclass(self.driver(), b.Rescue):
+            return False
+        try:
+            self.build(self.record).rescue(output, value)
+        except DeviceError:
+            return False
+        return True
 
     def restart(self) -> None:
         """Switch the emulated device off and on: its state is lost, the connection stays."""
@@ -279,14 +258,6 @@ class Rig:
     def switch_off_watchdog(self) -> bool:
         """Switch the watchdog off at the emulated device itself; whether that is possible."""
         return bool(getattr(self.server, "switch_off_watchdog", bool)())
-
-    def truth(self) -> Truth:
-        """Source of the actual state of plant and device."""
-        return Truth(self.record, lambda: self.emulator, self._another)
-
-    def _another(self) -> Any:
-        """A second driver of the same device, not open, for its `rescue`; None if it has no such method."""
-        return self.build(self.record) if issubclass(self.driver(), Rescue) else None
 
     # -- the driver -----------------------------------------------------------------------------------------------
 
@@ -321,12 +292,10 @@ class Rig:
         if not identity.simulated and self._heard() == before:
             device, self.device = self.device, None
             self.call("close()", device.close).judged(COLLECTS_WITHIN)
-            raise Failed(
-                f"open() reached {identity.model or 'a device'} past the emulator, with which nothing was exchanged; "
-                "it gives simulated=False: it may drive a muscle, and nothing is commanded. Let the driver open only "
-                "the address of its record"
-            )
-        if armed and self.record.watchdog and isinstance(self.device, Watchdog):
+            past = f"{identity.model or 'a device'} past the emulator, with which nothing was exchanged"
+            why = "it gives simulated=False: it may drive a muscle, and nothing is commanded"
+            raise Failed(f"open() reached {past}; {why}. Let the driver open only the address of its record")
+        if armed and self.record.watchdog and isinstance(self.device, b.Watchdog):
             self.call("arm_watchdog()", self.device.arm_watchdog, self.record.watchdog).good()
             self._armed = True
         return identity
@@ -338,10 +307,10 @@ class Rig:
 
     def shut(self) -> None:
         """Close the driver, if there is one, and disarm its watchdog."""
-        device: Device | None = self.device
+        device: b.Device | None = self.device
         self.device = None
         if device is not None:
-            if self._armed and isinstance(device, Watchdog):
+            if self._armed and isinstance(device, b.Watchdog):
                 self._armed = False
                 self.call("disarm_watchdog()", device.disarm_watchdog).judged()
             self.call("close()", device.close).judged(COLLECTS_WITHIN)
@@ -375,7 +344,7 @@ class Rig:
         asked += [("read_back()", partial(device.read_back, output.output)) for output in record.outputs]
         asked += [("is_on()", partial(device.is_on, valve.output)) for valve in record.valves]
         asked += [("level()", partial(device.level, lock.input)) for lock in record.interlocks]
-        asked += [("held()", device.held)] if isinstance(device, Supervised) else []
+        asked += [("held()", device.held)] if isinstance(device, b.Supervised) else []
         return asked + ([("collect()", device.collect)] if self.streams() else [])
 
     def pass_time(self, seconds: float) -> None:
@@ -411,7 +380,7 @@ class Rig:
 
     def streams(self) -> bool:
         """Whether the device has channels that it samples."""
-        return bool(self.record.channels) and issubclass(self.driver(), Stream)
+        return bool(self.record.channels) and issubclass(self.driver(), b.Stream)
 
 
 def open_files() -> int:
@@ -429,7 +398,7 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-def _emulator(record: DeviceRecord, wiring: Wiring | None) -> Any:
+def _emulator(record: DeviceRecord, wiring: Truth | None) -> Any:
     """The project's emulator with this device in it; UsageError without one."""
     found = [point for point in registered("pmabench.emulators") if point.name == "plant"]
     if not found:

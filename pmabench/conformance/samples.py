@@ -13,7 +13,7 @@ from typing import Any
 
 from pmabench.base.quantities import show
 from pmabench.bench.interface import COMPUTER, Block, ChannelRecord
-from pmabench.conformance.rig import COLLECTS_WITHIN, Failed, Late, NotChecked, Rig, State, Truth
+from pmabench.conformance.rig import COLLECTS_WITHIN, Failed, Late, NotChecked, Rig, State
 from pmabench.guard.limits import to_device
 
 RATE = 50.0
@@ -84,10 +84,8 @@ class Recording:
             self.arrived.append(now if block.host == -1 else block.host / 1e9)
             self.kept.append((block, _copy(block)))
             if not before - 0.3 < self.arrived[-1] <= now + 0.001:
-                raise Failed(
-                    f"Block.host is {block.host} ns, and the block was collected at {now:.3f} s of bench time, the one "
-                    f"before at {before:.3f} s"
-                )
+                collected = f"collected at {now:.3f} s of bench time, the one before at {before:.3f} s"
+                raise Failed(f"Block.host is {block.host} ns, and the block was {collected}")
 
     def si(self, channel: ChannelRecord) -> list[float]:
         """The values of a channel [SI]."""
@@ -207,9 +205,8 @@ def _paced(found: Recording, rate: float) -> None:
     ends = [*found.borders[1:], len(seconds)]
     passed, shown = found.collected[-1] - found.collected[0], seconds[ends[-1] - 1] - seconds[ends[0] - 1]
     if not abs(shown - passed) <= 0.05 * passed + 2.5 * period:
-        raise Late(
-            f"its samples' times say that {shown:.3g} s passed, and by the computer's clock it was {passed:.3g} s"
-        )
+        real = f"by the computer's clock it was {passed:.3g} s"
+        raise Late(f"its samples' times say that {shown:.3g} s passed, and {real}")
     if not 0.85 * period <= usual <= 1.15 * period:
         raise Late(f"start() said {rate:g} Hz, and samples are {1e3 * usual:.3g} ms apart, not {1e3 * period:.3g} ms")
     wrong = []  # both: a delay by a busy computer must not hide faults of the driver
@@ -246,16 +243,15 @@ def _ends(rig: Rig, found: Recording) -> None:
 
 def values(rig: Rig) -> str:
     """Every channel shows what the emulated plant has, in SI, in states far apart and while it moves."""
-    truth = rig.truth()
     with rig.opened():
         stamped = rig.identity.clock == COMPUTER
         rate = begin(rig)
-        known = {channel.name for channel in rig.record.channels} & {*truth.now()}
-        states = [_in_state(rig, truth, state, known) for state in STATES]
+        known = {channel.name for channel in rig.record.channels} & {*rig.plant.quantities()}
+        states = [_in_state(rig, state, known) for state in STATES]
         measured = [c for c in rig.record.channels if c.name in known and not c.name.endswith("_command")]
         checked = [channel.name for channel in measured if _agrees(channel, states)]
         seen = [channel for channel in measured if channel.name in checked]
-        moved = _moves(rig, truth, seen, rate, stamped=stamped)
+        moved = _moves(rig, seen, rate, stamped=stamped)
     agree = f"{', '.join(checked) or 'nothing'} as in the plant, in states far apart"
     agree += f"; {', '.join(moved)} also sample by sample on the move" if moved else ""
     outputs = {f"{output.name}_command" for output in rig.record.outputs}  # checked with the set-points
@@ -289,26 +285,26 @@ class _Seen:
     """Median deviation beyond the plant's values."""
 
 
-def _bring(rig: Rig, truth: Truth, state: State) -> float:
+def _bring(rig: Rig, state: State) -> float:
     """Bring the plant to a state, an end with the device's own drive; returns the time that this may take [s]."""
-    truth.bring(state)
+    rig.bring(state)
     seconds = SETTLES
     for output in rig.record.outputs:
         if output.quantity == "length":
-            way = abs(state.position - truth.now()["displacement"])
+            way = abs(state.position - rig.plant.quantities()["displacement"])
             value = to_device(output, min(max(state.position, output.low), output.high))
             rig.call("write()", rig.device.write, output.output, value).good()
             seconds += way / SLOWEST
     return seconds
 
 
-def _in_state(rig: Rig, truth: Truth, state: State, known: set[str]) -> _Seen:
-    rig.pass_time(_bring(rig, truth, state))
+def _in_state(rig: Rig, state: State, known: set[str]) -> _Seen:
+    rig.pass_time(_bring(rig, state))
     rig.call("collect()", rig.device.collect).good(COLLECTS_WITHIN)
     found = record(rig, 0.3)
     if not found.times:
         raise Late("samples no longer come while the pressure changes")
-    grid = _grid(rig, truth, found)
+    grid = _grid(rig, found)
     shown, had, off = {}, {}, {}
     for channel in rig.record.channels:
         if channel.name in known:
@@ -336,23 +332,23 @@ def _agrees(channel: ChannelRecord, states: Sequence[_Seen]) -> bool:
     return max(had) - min(had) > DISTINCT * most
 
 
-def _moves(rig: Rig, truth: Truth, channels: Sequence[ChannelRecord], rate: float, *, stamped: bool) -> list[str]:
+def _moves(rig: Rig, channels: Sequence[ChannelRecord], rate: float, *, stamped: bool) -> list[str]:
     """Compare samples with the plant in motion; returns the channels that moved enough."""
-    rig.pass_time(_bring(rig, truth, _swept(0.0)))
+    rig.pass_time(_bring(rig, _swept(0.0)))
     rig.call("collect()", rig.device.collect).good(COLLECTS_WITHIN)
     found, began, due = Recording(rig.record.channels, stamped), rig.bench_clock.now(), 0.0
     while (since := rig.bench_clock.now() - began) < SWEEP:
-        truth.bring(_swept(since))
+        rig.bring(_swept(since))
         if since >= due:
             rig.feed()
             collect(rig, found)
             if not due:
-                _bring(rig, truth, replace(_swept(since), position=0.02))
+                _bring(rig, replace(_swept(since), position=0.02))
             due += 0.1
         rig.wait(0.008)
     if not found.times:
         raise Late("samples no longer come while the pressure changes")
-    grid = _grid(rig, truth, found)
+    grid = _grid(rig, found)
     return [channel.name for channel in channels if _follows(channel, found, grid, max(1.0 / rate, 1.0 / RATE))]
 
 
@@ -362,12 +358,12 @@ def _swept(since: float) -> State:
     return State(360e3 - 300e3 * share, 0.02 - 0.018 * share, 210.0 - 200.0 * share)
 
 
-def _grid(rig: Rig, truth: Truth, found: Recording) -> list[tuple[float, Mapping[str, float]]]:
+def _grid(rig: Rig, found: Recording) -> list[tuple[float, Mapping[str, float]]]:
     """State of the plant around the samples: bench time [s], quantities."""
     moments, zero = found.moments(), rig.bench_clock.start
     first = moments[0] - WINDOW
     count = round((moments[-1] + WINDOW - first) / GRID)
-    return [(first + i * GRID, truth.at(zero + first + i * GRID)) for i in range(count + 1)]
+    return [(first + i * GRID, rig.plant.at(zero + first + i * GRID)) for i in range(count + 1)]
 
 
 def _follows(
@@ -390,10 +386,8 @@ def _follows(
         word = "old" if best < 0 else "early"
         raise Late(f"the samples of {channel.name} are {1e3 * abs(best):.0f} ms too {word}, at {1 / period:g} Hz")
     if (ragged := deviation(best) / per_period) > RAGGED:
-        raise Late(
-            f"samples of {channel.name} do not belong to their times: they are off by {ragged:.0%} of what the plant "
-            "changes from one to the next; are values repeated, or lost?"
-        )
+        off = f"{ragged:.0%} of what the plant changes from one to the next; are values repeated, or lost?"
+        raise Late(f"samples of {channel.name} do not belong to their times: they are off by {off}")
     same = [later == earlier for earlier, later in pairwise(found.values[channel.name])]
     between = [same[border - 1] for border in found.borders if 0 < border <= len(same)]
     if sum(between) > LOST * len(between) and sum(between) / len(between) > 2 * sum(same) / len(same):

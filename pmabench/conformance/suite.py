@@ -245,10 +245,8 @@ def subject(driver: str, bench: Path | None = None, device: str | None = None) -
     if found := [one for one in subjects(driver, bench) if device in {None, one.record.name}]:
         return max(found, key=lambda one: _size(one.record))
     named = f' called "{device}"' if device else ""
-    raise UsageError(
-        f"no device{named} of the driver {driver} in {bench or 'the shipped benches'}; give a bench file with one, as "
-        "docs/drivers.md says"
-    )
+    missing = f"no device{named} of the driver {driver} in {bench or 'the shipped benches'}"
+    raise UsageError(f"{missing}; give a bench file with one, as docs/drivers.md says")
 
 
 def _size(record: DeviceRecord) -> tuple[int, int]:

@@ -17,7 +17,7 @@ from typing import Any
 from pmabench.base.errors import PmaError, VerdictFailed
 from pmabench.base.quantities import CHANNEL_QUANTITY, in_words, show, without_number
 from pmabench.bench.compile import Mounted
-from pmabench.bench.files.bench import PLACED
+from pmabench.bench.files.session import PLACED
 from pmabench.bench.interface import ChannelRecord, Scale
 from pmabench.bench.session import WarmUp, Zero
 from pmabench.engine.executor import Executor, Progress

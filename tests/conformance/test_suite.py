@@ -91,8 +91,8 @@ def test_an_error_of_the_emulator_fails_its_check_and_the_others_go_on(monkeypat
     def refuse(*_arguments):
         raise DeviceError("controller", "no key was pressed")
 
-    monkeypatch.setattr(rig.Truth, "by_hand", refuse)
-    monkeypatch.setattr(rig.Truth, "bring", refuse)
+    monkeypatch.setattr(rig.Rig, "by_hand", refuse)
+    monkeypatch.setattr(rig.Rig, "bring", refuse)
     results = list(run(tried("example"), hostile=0, only=["values", "interface"]))
     assert [result.verdict for result in results] == [FAILED, PASSED]
     assert results[0].why == "the emulator: controller: no key was pressed"

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from time import monotonic
 
 from pmabench_drivers.shared.device import Controlled
-from pmabench_drivers.shared.link import JOIN, Still, opened
+from pmabench_drivers.shared.link import JOIN, Still
 from pmabench_drivers.shared.options import Reader, option
 
 from pmabench.base.clock import Clock
@@ -48,7 +48,7 @@ def read_options(device: DeviceRecord, reader: Reader) -> Options:
     return options
 
 
-class ExampleController(Controlled):
+class ExampleController(Controlled[Connection]):
     """A pressure controller: two pressures, a set-point up to 600 kPa, dump and supply valve, a contact.
 
     `Controlled` (`pmabench_drivers.shared.device`) polls it and steps ramps and sines in one thread, which calls
@@ -64,7 +64,6 @@ class ExampleController(Controlled):
 
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         super().__init__(device, clock)
-        self._connection: Connection | None = None
         self._places = [INPUTS.index(channel.input) for channel in device.channels]
 
     # -- life -----------------------------------------------------------------------------------------------------
@@ -72,7 +71,7 @@ class ExampleController(Controlled):
     def open(self) -> Identity:
         """Connect and ask who it is."""
         self.close()
-        self._connection = self._connect()
+        self._link = self._connect()
         try:
             [answer] = self._ask("ID", 1)
             model, serial, firmware = answer.split(",")
@@ -86,11 +85,9 @@ class ExampleController(Controlled):
 
     def close(self) -> None:
         """End polling and let go of the connection."""
-        connection, self._connection = self._connection, None
         self._following.clear()
         self._cycle.stop(JOIN)
-        if connection is not None:
-            connection.close()
+        self._hang_up()
 
     # -- samples --------------------------------------------------------------------------------------------------
 
@@ -201,9 +198,6 @@ class ExampleController(Controlled):
 
     def _connect(self) -> Connection:
         return Connection(self._device.name, self._device.address, self._options.timeout)
-
-    def _opened(self) -> Connection:
-        return opened(self._connection, self._device.name)
 
     def _ask(self, question: str, count: int, connection: Connection | None = None) -> list[str]:
         """The `count` words that answer, behind the first word of the question."""

@@ -1,7 +1,7 @@
 """Alicat PC and PCD pressure controllers, over ASCII or Modbus RTU on a serial line.
 
-Here: options in the bench file, readings, the device interface; `ascii_link`, `modbus_link`: the two protocols with the
-same methods; `emulator`: the device for `pmabench emulate`.
+Here: options in the bench file, readings, the device interface; `ascii_link` (its data line: `layout`), `modbus_link`:
+the two protocols with the same methods; `emulator`: the device for `pmabench emulate`.
 
 Sources: Alicat, manual of standard flow and pressure devices, 02/2023 (Modbus registers, special commands, status bits;
 ASCII commands); Apex/Alicat PC manual, page 22 (set-points, data frame). The list of columns is parsed in the format
@@ -172,7 +172,7 @@ LARGEST = 1e6
 """Larger set-points are not sent, in any unit."""
 
 
-class AlicatController(Controlled):
+class AlicatController(Controlled["Link"]):
     """A pressure controller with the inputs `pressure` and `set_point` and the output `pressure`.
 
     A set-point at or below the output's safe value vents: over Modbus with the exhaust of a dual-valve controller.
@@ -185,7 +185,6 @@ class AlicatController(Controlled):
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         super().__init__(device, clock)
         self._inputs = [channel.input for channel in device.channels]
-        self._link: Link | None = None
         self._compared = False
         self._reading: Reading | None = None
         """Reading in the answer to a step, in this turn of the thread; else None."""
@@ -305,8 +304,3 @@ class AlicatController(Controlled):
     def _vents(self, record: OutputRecord, value: float) -> bool:
         """Whether a set-point is at or below that of the safe state."""
         return value <= float(record.scale.to_raw(record.safe)) + 1e-9
-
-    def _opened(self) -> Link:
-        if self._link is None:
-            raise self._error("is not open")
-        return self._link

@@ -116,9 +116,8 @@ class AsciiDevice(OnTerminal):
 
     def __init__(self, controller: Controller, letter: str, log: f.CommandLog) -> None:
         self.controller, self._letter = controller, letter
-        super().__init__(
-            controller.device, log, f.Faults(f.LINK, f.STUCK, f.IGNORE, f.OVER, f.STATUS, f.RESTART, f.SETPOINT)
-        )
+        faults = f.Faults(f.LINK, f.STUCK, f.IGNORE, f.OVER, f.STATUS, f.RESTART, f.SETPOINT)
+        super().__init__(controller.device, log, faults)
         self.restart, self.change_set_point = controller.restart, controller.change_set_point
         self._data = b""
 

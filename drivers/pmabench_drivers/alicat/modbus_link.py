@@ -60,10 +60,9 @@ class ModbusLink:
         """Open the port and read the registers once; the device cannot be identified over Modbus."""
         from pmabench_drivers.modbus.adapter import Line
 
-        options = self._options
-        self._line = Line(
-            self._device, self._address, options.number, options.timeout, options.slowest, {"baudrate": options.baud}
-        )
+        options, serial = self._options, {"baudrate": self._options.baud}
+        times = options.timeout, options.slowest
+        self._line = Line(self._device, self._address, options.number, *times, serial)
         self._regulating = self.exhausting = False
         with self._turn(deadline):
             self._get(SET_POINT, deadline)

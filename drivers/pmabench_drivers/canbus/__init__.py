@@ -21,7 +21,7 @@ from pmabench_drivers.canbus.link import Link, Rows, Signals, open_adapter
 from pmabench_drivers.canbus.node import Node, Transducer
 from pmabench_drivers.canbus.options import READY, Options, read_options
 from pmabench_drivers.shared.device import HURRY, Driver, refuse_nonsense, stepped
-from pmabench_drivers.shared.link import JOIN, Cycle, Samples, opened
+from pmabench_drivers.shared.link import JOIN, Cycle, Samples
 from pmabench_drivers.shared.options import Reader
 
 CALL = 0.18
@@ -35,7 +35,7 @@ ROOM = 0.02
 """Largest distance of a drive from the start of a cyclic motion, as time at its highest speed [s]."""
 
 
-class CanBus(Driver):
+class CanBus(Driver[Link]):
     """Drives, transducers and DBC-described sensors on one bus, which only one program uses.
 
     Inputs are `NODE.position` (drive: count; transducer: um), `NODE.demand` (drive, count) and `MESSAGE.SIGNAL` (in the
@@ -58,7 +58,6 @@ class CanBus(Driver):
         self._rows = Rows((), self._row, 0)
         self._every, self._count = 0, 0
         self._armed = False
-        self._link: Link | None = None
         for name, node in self._options.nodes.items():
             made = (Drive if node.profile == 402 else Transducer)(device.name, name, node.number, self._send)
             self._nodes[name] = made
@@ -104,9 +103,7 @@ class CanBus(Driver):
         self._following.clear()
         self._every, self._armed = 0, False
         self._cycle.stop(JOIN)
-        link, self._link = self._link, None
-        if link is not None:
-            link.close()
+        self._hang_up()
 
     def _identity(self) -> Identity:
         nodes = list(self._nodes.values())
@@ -120,9 +117,8 @@ class CanBus(Driver):
             models = ["CAN adapter"]
         names = ", ".join(model.removeprefix(begins) for model in models)
         serial, firmware = (", ".join(filter(None, (getattr(n, k) for n in nodes))) for k in ("serial", "firmware"))
-        return Identity(
-            "CAN", f"{begins if simulated else ''}{names}", serial, firmware, simulated=simulated, clock=COMPUTER
-        )
+        model = f"{begins if simulated else ''}{names}"
+        return Identity("CAN", model, serial, firmware, simulated=simulated, clock=COMPUTER)
 
     def _refuse_narrow_limits(self, deadline: float) -> None:
         """Raise DeviceError if a drive's own limits are inside those of the bench: it would not reach its targets."""
@@ -131,10 +127,8 @@ class CanBus(Driver):
             limits = drive.limits(deadline)
             ends = sorted(float(output.scale.to_raw(value)) for value in (output.low, output.high))
             if limits is not None and (ends[0] < limits[0] or ends[1] > limits[1]):
-                message = (
-                    f"its software limits (607Dh) are {limits[0]} to {limits[1]} counts, and the bench may send it to"
-                )
-                raise drive.error(f"{message} {ends[0]:g} to {ends[1]:g}: change one of them")
+                own = f"its software limits (607Dh) are {limits[0]} to {limits[1]} counts"
+                raise drive.error(f"{own}, and the bench may send it to {ends[0]:g} to {ends[1]:g}: change one of them")
 
     # -- received frames ------------------------------------------------------------------------------------------
 
@@ -187,18 +181,17 @@ class CanBus(Driver):
 
     def _refuse_trouble(self) -> None:
         """Raise DeviceError with the first error, if there is one."""
-        name = self._device.name
-        if (link := self._link) is None or link.gone:
-            raise DeviceError(name, link.gone if link else "is not open")
+        if gone := self._opened().gone:
+            raise self._error(gone)
         for node in self._nodes.values():
             if trouble := node.trouble():
-                raise DeviceError(name, trouble, node.name)
-        self._cycle.refuse(name, "sending")
+                raise self._error(trouble, node.name)
+        self._cycle.refuse(self._device.name, "sending")
         if self._rows.in_a_row * self._options.sync * 3 > PATIENCE:
             silent = [node.name for node in self._nodes.values() if self._rows.missing() & set(node.mapped)]
-            raise DeviceError(name, f"no answer to SYNC from {', '.join(silent) or 'a node'} for {PATIENCE:g} s")
+            raise self._error(f"no answer to SYNC from {', '.join(silent) or 'a node'} for {PATIENCE:g} s")
         if self._every and (stale := self._signals.stale()):
-            raise DeviceError(name, f"{stale} did not come for {self._options.slowest:g} s; is its sensor on?", stale)
+            raise self._error(f"{stale} did not come for {self._options.slowest:g} s; is its sensor on?", stale)
 
     # -- the sending thread ---------------------------------------------------------------------------------------
 
@@ -316,9 +309,6 @@ class CanBus(Driver):
         self._send(f.HEARTBEAT + self._options.own_node, bytes([f.OPERATIONAL]))
 
     # -- helpers --------------------------------------------------------------------------------------------------
-
-    def _opened(self) -> Link:
-        return opened(self._link, self._device.name)
 
     def _send(self, identifier: int, data: bytes = b"") -> None:
         self._opened().send(identifier, data)

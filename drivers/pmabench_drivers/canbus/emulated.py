@@ -225,9 +225,8 @@ class EmulatedBus(Hub):
         output = next((o for o in self._device.outputs if o.output == f"{name}.position"), None)
         channel = next((c for c in self._device.channels if c.input == f"{name}.position"), None)
         if output is None and channel is None:
-            raise UsageError(
-                f"{self._device.name}: nothing on the bench uses {name}.position, so its counts are unknown"
-            )
+            why = f"nothing on the bench uses {name}.position, so its counts are unknown"
+            raise UsageError(f"{self._device.name}: {why}")
         scale = output.scale if output is not None else (channel.calibrated if channel is not None else Scale())
         stroke = _stroke(output, scale)
         quantities = self._plant.quantities()

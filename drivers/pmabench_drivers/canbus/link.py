@@ -152,9 +152,8 @@ class PythonCan:
 
     def send(self, frame: Frame) -> None:
         """Send one frame."""
-        message = self._can.Message(
-            arbitration_id=frame.identifier, data=frame.data, is_extended_id=frame.extended, check=True
-        )
+        kind = {"is_extended_id": frame.extended, "check": True}
+        message = self._can.Message(arbitration_id=frame.identifier, data=frame.data, **kind)
         with self._as_os_error():
             self._bus.send(message, timeout=PUSH)
 
@@ -197,14 +196,7 @@ def open_adapter(address: str, bitrate: int, *, ask: bool) -> Adapter:
 class Link(Listening):
     """An open adapter; the reading thread calls `take` with a frame and its arrival time. Raises DeviceError."""
 
-    def __init__(
-        self,
-        device: str,
-        address: str,
-        adapter: Callable[[], Adapter],
-        clock: Clock,
-        take: Callable[[Any, float], None],
-    ) -> None:
+    def __init__(self, device: str, address: str, adapter: Callable[[], Adapter], clock: Clock, take: Take) -> None:
         super().__init__(device, address, clock)
         self._lock = threading.Lock()
         try:

@@ -147,9 +147,8 @@ def _signal(line: str, message: Message, number: int) -> Signal | None:
     start, length = _whole(found[3], number), _whole(found[4], number)
     if found[2] not in {None, "M"}:
         return None
-    signal = Signal(
-        found[1], start, length, found[5] == "0", found[6] == "-", float(found[7]), float(found[8]), found[9]
-    )
+    factor, offset = float(found[7]), float(found[8])
+    signal = Signal(found[1], start, length, found[5] == "0", found[6] == "-", factor, offset, found[9])
     inside = 0 < length <= 64 and 0 <= start < 64
     if not inside or min(signal.bits) < 0 or max(signal.bits) >= 8 * message.length:
         raise NoDatabase(f"line {number}: the signal {signal.name} is longer than its message")
@@ -226,12 +225,9 @@ def read_options(device: DeviceRecord, reader: Reader) -> Options:
 
 def _address(address: str, reader: Reader) -> None:
     interface, colon, channel = address.partition(":")
-    wanted = (
-        'INTERFACE:CHANNEL is expected, for instance "socketcan:can0" or "slcan:/dev/ttyACM0"; '
-        f"interfaces: {', '.join(INTERFACES)}"
-    )
+    wanted = 'INTERFACE:CHANNEL is expected, for instance "socketcan:can0" or "slcan:/dev/ttyACM0"'
     if interface not in INTERFACES or not colon or not channel:
-        reader.fault(("address",), f'{wanted}; not "{address}"')
+        reader.fault(("address",), f'{wanted}; interfaces: {", ".join(INTERFACES)}; not "{address}"')
     elif interface in NUMBERED and not channel.isdecimal():
         reader.fault(("address",), f'{interface} needs the number of its channel, for instance "{interface}:0"')
     elif "://" in channel and not re.fullmatch(r"socket://[A-Za-z0-9.-]+:\d{1,5}", channel):

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field, replace
 from time import monotonic
 
 from pmabench.base.clock import Clock
-from pmabench.base.errors import DeviceError
+from pmabench.base.errors import DeviceError as DeviceError
 from pmabench.bench.interface import EMULATED, UNPROVEN, DeviceRecord, Identity
 from pmabench_drivers.shared.link import Pace, who
 from pmabench_drivers.shared.options import Reader, option
@@ -299,9 +299,8 @@ class Dataq(SerialStream):
             values = [volts(model, span, raw) for span, raw in zip(spans, words, strict=True)]
             self._newest = self._origin + self._number / self._rate
             self._number += 1
-            self._samples.append(
-                round(self._newest * 1e9), [values[column] for column in self._columns], round(now * 1e9)
-            )
+            row = [values[column] for column in self._columns]
+            self._samples.append(round(self._newest * 1e9), row, round(now * 1e9))
         # scans are not numbered: missing ones make all that follow appear to be late
         if (behind := self._pace.behind(self._newest, now)) > 0:
             self._failure = f"is {behind:.2f} s behind its clock: scans are lost, or it is slower than it says"
@@ -335,7 +334,7 @@ class Dataq(SerialStream):
             port.send(STOP)
             if port.receive(lambda got: got.endswith(STOP), ANSWER).endswith(STOP):
                 return
-        raise DeviceError(self._device.name, 'did not answer "stop": is it in its CDC mode?')
+        raise self._error('did not answer "stop": is it in its CDC mode?')
 
     def _ask(self, command: str) -> str:
         """Send a command, once more where no echo of it comes; the answer without the echo.
@@ -357,16 +356,16 @@ class Dataq(SerialStream):
                 return line.removeprefix(command).strip()
         text = data.decode("ascii", "replace").strip()
         heard = f'"{text[:40]}"' if data else "nothing"
-        raise DeviceError(self._device.name, f'answered {heard} to "{command}"')
+        raise self._error(f'answered {heard} to "{command}"')
 
     def _identity(self) -> Identity:
         maker, model = self._ask("info 0"), self._ask("info 1")
         expected = self._options.model.name
         shown = model.removeprefix(UNPROVEN).removeprefix(EMULATED).removeprefix("DI-")
         if maker != "DATAQ" or shown != expected.removeprefix("DI-"):
-            raise DeviceError(self._device.name, f'is "{maker[:20]} {model[:30]}", and the bench file says {expected}')
+            raise self._error(f'is "{maker[:20]} {model[:30]}", and the bench file says {expected}')
         firmware, serial, dividend = self._ask("info 2"), self._ask("info 6"), self._ask("info 9")
         if not dividend.isdecimal() or not 1_000_000 <= int(dividend) <= 1_000_000_000:
-            raise DeviceError(self._device.name, f'reports "{dividend[:20]}" as the clock that its rate divides')
+            raise self._error(f'reports "{dividend[:20]}" as the clock that its rate divides')
         self._dividend = int(dividend)
         return who("DATAQ", model, serial[:40], firmware[:40])

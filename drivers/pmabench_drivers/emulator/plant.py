@@ -43,8 +43,8 @@ class _Mock(MockBench):
 
     def rest(self) -> None:
         """Advance the plant to the oldest sample to be kept, in case nobody has read for long."""
-        if self._opened is not None:
-            self._opened.skip(self._now() - KEPT)
+        if self._link is not None:
+            self._link.skip(self._now() - KEPT)
 
     def simulation(self) -> Simulation | JointSimulation | PlatformSimulation:
         """The simulation, advanced to the present."""

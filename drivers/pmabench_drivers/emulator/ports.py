@@ -69,10 +69,8 @@ def refuse_others(device: str, address: str) -> None:
     """Raise UsageError if `address` names a host other than this machine."""
     host = host_of(address)
     if host and not ip_address(host).is_loopback:
-        raise UsageError(
-            f"{device} is at {address}, where other machines could reach what is emulated; give it an address of this "
-            'machine, as "127.0.0.1:0", or say --expose'
-        )
+        where = f"{device} is at {address}, where other machines could reach what is emulated"
+        raise UsageError(f'{where}; give it an address of this machine, as "127.0.0.1:0", or say --expose')
 
 
 class Terminal:

@@ -28,10 +28,10 @@ from pmabench_drivers.festo_cmmt.telegram import POSITION, SET_POINT, CmmtOption
 from pmabench_drivers.modbus import CALL, Watched
 from pmabench_drivers.modbus.registers import Register, WatchdogRegisters
 from pmabench_drivers.shared.device import refuse_nonsense
-from pmabench_drivers.shared.link import JOIN, Unanswered, opened
+from pmabench_drivers.shared.link import JOIN, Unanswered
 
 if TYPE_CHECKING:
-    from pmabench_drivers.festo_cmmt.link import DriveLink
+    from pmabench_drivers.festo_cmmt.link import DriveLink as DriveLink
 
 OPEN = 1.9
 ANSWER = 0.1
@@ -44,7 +44,7 @@ SLOWER = 0.9
 """A drive that brakes is so much slower in the second half of a call [1]."""
 
 
-class FestoCmmt(Watched):
+class FestoCmmt(Watched["DriveLink"]):
     """A CMMT that holds the free end: output and channel `position`, channel `set_point`, both in user units.
 
     A ramp is one positioning task with its velocity; a sine is streamed: a target and a velocity in each cycle.
@@ -59,7 +59,6 @@ class FestoCmmt(Watched):
         super().__init__(device, clock)
         self._inputs = [channel.input for channel in device.channels]
         self._watchdog = WatchdogRegisters(t.TIMEOUT)
-        self._line: DriveLink | None = None
         self._turn = threading.Lock()
         """Held for a moment while what is commanded is replaced; never while the drive is waited for."""
         self._top_speed = max((output.rate / abs(output.scale.slope) for output in device.outputs), default=0.0) or inf
@@ -85,7 +84,7 @@ class FestoCmmt(Watched):
         from pmabench_drivers.festo_cmmt.link import DriveLink
 
         self.close()
-        line = self._line = DriveLink(self._device.name, self._device.address)
+        line = self._link = DriveLink(self._device.name, self._device.address)
         until = monotonic() + OPEN
         with self._closed_on_error():
             identity = line.identity(until)
@@ -103,11 +102,11 @@ class FestoCmmt(Watched):
     def close(self) -> None:
         """Stop the cycle; a disarmed drive is switched off, any other is left to its own time-out."""
         self._cycle.stop(JOIN)
-        line = self._line
+        line = self._link
         if line is not None and self._release and self._command is not None:
             with suppress(DeviceError):
                 line.send(t.NOTHING, monotonic() + ANSWER / 2)
-        self._line = None
+        self._link = None
         self._armed = 0.0
         self._forget()
         if line is not None:
@@ -149,7 +148,7 @@ class FestoCmmt(Watched):
 
     def _tick(self) -> None:
         """One cycle: send the present command, then read the drive's state."""
-        if self._hungry() or self._line is None:
+        if self._hungry() or self._link is None:
             return  # the program has stopped feeding the watchdog: the cycle must not prevent the drive's time-out
         try:
             self._send_due()
@@ -192,9 +191,8 @@ class FestoCmmt(Watched):
 
     def _off(self, status: t.Status) -> str:
         """Why the drive is not under power."""
-        return status.refusal() or (
-            f"is not under power (status word 0x{status.word:04x}): is its supply on, and its safe torque off released?"
-        )
+        cause = "is its supply on, and its safe torque off released?"
+        return status.refusal() or f"is not under power (status word 0x{status.word:04x}): {cause}"
 
     # -- commands -------------------------------------------------------------------------------------------------
 
@@ -359,9 +357,6 @@ class FestoCmmt(Watched):
         }
 
     # -- small things ---------------------------------------------------------------------------------------------
-
-    def _opened(self) -> DriveLink:
-        return opened(self._line, self._device.name)
 
     def _scale(self, output: str) -> float:
         return self._output(output).scale.slope

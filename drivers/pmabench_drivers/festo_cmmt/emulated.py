@@ -35,8 +35,8 @@ SENT = (
 )  # fmt: skip
 """Words sent to the drive, in 11 registers; `GIVEN`: words that it sends."""
 GIVEN = ("ZSW1", "POS_ZSW1", "POS_ZSW2", "ZSW2", "MELDW", "XIST_A", "NIST_B", "FAULT_CODE", "WARN_CODE")
-LONG = frozenset({"MDI_TARPOS", "MDI_VELOCITY", "XIST_A", "NIST_B"})
-"""Words of 32 bits, low register first, signed."""
+WORDS, REGISTERS = struct.Struct("<5H2i2H"), struct.Struct("<11H")
+"""Words of either direction, of which the sixth and the seventh have 32 bits, low register first, signed."""
 ON, NO_COAST_STOP, NO_QUICK_STOP, ENABLE, KEEP_TASK, GO_ON, TASK, ACKNOWLEDGE = (1 << bit for bit in range(8))
 BY_PLC = 1 << 10
 """Bits of STW1; without `KEEP_TASK` or `GO_ON` it stops."""
@@ -77,12 +77,7 @@ def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> NamedDevic
 
 def split(words: Sequence[int]) -> dict[str, int]:
     """Values sent, by name."""
-    found, at = {}, 0
-    for name in SENT:
-        size = 2 if name in LONG else 1
-        value = sum(word << 16 * i for i, word in enumerate(words[at : at + size]))
-        found[name], at = value - (1 << 32 if size == 2 and value >> 31 else 0), at + size
-    return found
+    return dict(zip(SENT, WORDS.unpack(REGISTERS.pack(*words[: len(SENT) + 2])), strict=True))
 
 
 @dataclass
@@ -275,10 +270,8 @@ class EmulatedDrive(frames.NamedRegisters):
             "XIST_A": min(max(round(float(self._scale.to_raw(place))) - self.zero, -(2**31)), 2**31 - 1),
             "FAULT_CODE": self.fault,
         }
-        words: list[int] = []
-        for name in GIVEN:
-            words += [values.get(name, 0) >> 16 * i & 0xFFFF for i in range(2 if name in LONG else 1)]
-        return words + [0] * (SIZE - len(words))
+        words = REGISTERS.unpack(WORDS.pack(*(values.get(name, 0) for name in GIVEN)))
+        return [*words, *[0] * (SIZE - len(words))]
 
     # -- what it does by itself -----------------------------------------------------------------------------------
 

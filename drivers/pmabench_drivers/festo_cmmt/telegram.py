@@ -120,9 +120,8 @@ class Status:
     def refusal(self) -> str:
         """Why it cannot be switched on or moved; empty if nothing known prevents it."""
         if self.has(FAULT):
-            return (
-                f"reports fault {self.fault}: {FAULTS.get(self.fault, 'its display and its manual say what that is')}"
-            )
+            cause = FAULTS.get(self.fault, "its display and its manual say what that is")
+            return f"reports fault {self.fault}: {cause}"
         if not self.has(CONTROL):
             return "gives no control to the network: another program holds it, or it is operated by hand"
         if not self.has(HOMED):

@@ -83,7 +83,7 @@ class FestoCpxE(ModbusDevice):
     def _open(self, compare: Callable[[NamedLine, float], None]) -> Identity:
         self.close()
         line = self._new_line()
-        self._line, until = line, monotonic() + OPEN
+        self._link, until = line, monotonic() + OPEN
         self._settings, self._compared = dict.fromkeys(self._settings), compare == self._compare
         with self._closed_on_error():
             identity = line.identity(until)
@@ -114,7 +114,7 @@ class FestoCpxE(ModbusDevice):
 
     def _keep_alive(self) -> None:
         """Send a request while our watchdog is not armed; once it is, only the program prevents the time-out."""
-        line = self._line
+        line = self._link
         if self._armed or line is None:
             return
         try:
@@ -129,20 +129,19 @@ class FestoCpxE(ModbusDevice):
         modules = self._terminal.modules
         if (present := self._present(line, until)) != len(modules) + 1:
             message = f"has {present} modules with the bus module, and the bench file names {len(modules) + 1}"
-            raise DeviceError(self._device.name, message, "options.modules")
+            raise self._error(message, "options.modules")
 
     def _compare(self, line: Line, until: float) -> None:
-        name = self._device.name
         self._compare_modules(line, until)
         if faults := self._faulty(line, until):
-            raise DeviceError(name, f"reports faults (bits {', '.join(map(str, faults))}): look at the modules' LEDs")
+            raise self._error(f"reports faults (bits {', '.join(map(str, faults))}): look at the modules' LEDs")
         [status] = line.read("holding", STATUS, 1, until, "status")
         if status & t.FORCED:
-            raise DeviceError(name, "has forced inputs or outputs: end the forcing at the terminal")
+            raise self._error("has forced inputs or outputs: end the forcing at the terminal")
         for module in self._used:
             if module.kind.ranges and self._setting(line, module.parameter(t.DATA_FORMAT), until) & 1:
                 message = 'gives linear scaled values: set its data format to "sign + 15 bit"'
-                raise DeviceError(name, message, f"module {module.position} ({module.name})")
+                raise self._error(message, f"module {module.position} ({module.name})")
         for channel, wanted in self._terminal.ranges.items():
             self._compare_range(line, channel, wanted, until)
 
@@ -245,9 +244,8 @@ class FestoCpxE(ModbusDevice):
             if status := words[module.status - t.FIRST_INPUT]:
                 message = f"reports a fault (status 0x{status:04x}): look at its LEDs and its data sheet"
                 raise self._error(message, f"module {module.position} ({module.name})")
-        self._keep(
-            [decode(item, [words[item.address - t.FIRST_INPUT]]) for item in self._inputs], answered - took, answered
-        )
+        values = [decode(item, [words[item.address - t.FIRST_INPUT]]) for item in self._inputs]
+        self._keep(values, answered - took, answered)
 
     # -- commands -------------------------------------------------------------------------------------------------
 

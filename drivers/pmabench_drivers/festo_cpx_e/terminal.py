@@ -156,11 +156,7 @@ def read_options(device: DeviceRecord, reader: Reader) -> CpxOptions:
     if modules:
         _used(device, terminal, reader)
     reader.watchdog(device, "a CPX-E", SHORTEST, LONGEST)
-    map_ = RegisterMap(
-        inputs=terminal.inputs(),
-        outputs=terminal.outputs(),
-        watchdog=WatchdogRegisters(TIMEOUT),
-    )
+    map_ = RegisterMap(inputs=terminal.inputs(), outputs=terminal.outputs(), watchdog=WatchdogRegisters(TIMEOUT))
     return replace(options, map=map_, terminal=terminal)
 
 

@@ -17,9 +17,10 @@ from time import monotonic
 
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import EMULATED, UNPROVEN, DeviceRecord, Identity
+from pmabench_drivers.shared.device import Rated
 from pmabench_drivers.shared.link import Pace, who
 from pmabench_drivers.shared.options import Reader, option
-from pmabench_drivers.shared.serial_port import SerialStream
+from pmabench_drivers.shared.serial_port import SerialPort, SerialStream
 
 BITS = 60
 """Bits on the line for a distance and its counter, with start and stop bits."""
@@ -41,6 +42,8 @@ SETTING = {262075: "sends more than its baud rate can carry", 262082: "has its l
 """Codes for a wrong setting."""
 BAUDS = (115200, 230400, 256000, 460800, 691200, 921600, 1000000)
 INPUT = "distance"
+MARKS = (0, 1, 2, 0, 1, 3)
+"""Two highest bits of the bytes of a measurement: low, middle and high byte of the distance, then of the counter."""
 
 
 class Decoder:
@@ -51,8 +54,8 @@ class Decoder:
     """
 
     def __init__(self) -> None:
-        self._value: list[int] = []
-        self._code = -1
+        self._bits: list[int] = []
+        """Six bits of each byte of the present measurement so far."""
         self._skip = 0
 
     def feed(self, data: bytes) -> list[tuple[int, int]]:
@@ -63,36 +66,21 @@ class Decoder:
             if self._skip:
                 self._skip -= mark == 3
                 continue
-            if len(self._value) < 2:
-                if mark != len(self._value):
-                    self._restart()
-                    continue
-                self._value.append(byte & 0x3F)
+            if mark != MARKS[len(self._bits)]:
+                self._bits, self._skip = [], 2
                 continue
-            if mark != (2 if self._code < 0 else 3):
-                self._restart()
-                continue
-            value = (byte & 0x3F) << 12 | self._value[1] << 6 | self._value[0]
-            self._value = []
-            if mark == 2:
-                self._code = value
-            else:
-                found.append((self._code, value))
-                self._code = -1
+            self._bits.append(byte & 0x3F)
+            if len(self._bits) == len(MARKS):
+                low, middle, high, *counter = self._bits
+                found.append((low | middle << 6 | high << 12, counter[0] | counter[1] << 6 | counter[2] << 12))
+                self._bits = []
         return found
-
-    def _restart(self) -> None:
-        self._value, self._code = [], -1
-        self._skip = 2
 
 
 def encode(code: int, counter: int) -> bytes:
     """A distance and its counter as the sensor sends them."""
-    return bytes(
-        mark << 6 | value >> shift & 0x3F
-        for value, last in ((code, 2), (counter, 3))
-        for mark, shift in ((0, 0), (1, 6), (last, 12))
-    )
+    bits = [value >> shift & 0x3F for value in (code, counter) for shift in (0, 6, 12)]
+    return bytes(mark << 6 | part for mark, part in zip(MARKS, bits, strict=True))
 
 
 def distance(code: int, span: int) -> float:
@@ -188,7 +176,7 @@ class Refused(DeviceError):
     """The sensor says that it does not carry a command out."""
 
 
-class Ild1420(SerialStream):
+class Ild1420(Rated[SerialPort], SerialStream):
     """A laser sensor: its one input is `distance` [mm], from the start of the measuring range."""
 
     emulator = "pmabench_drivers.ild1420.emulator"
@@ -204,11 +192,6 @@ class Ild1420(SerialStream):
         self._origin: float | None = None
         self._newest = 0.0
         self._problem = ""
-
-    @classmethod
-    def fastest(cls, device: DeviceRecord) -> float:
-        """Measuring rate of the sensor [Hz]."""
-        return float(cls.read_options(device, Reader()).rate)
 
     def _greet(self) -> Identity:
         """Quiet the sensor, see that it is the right one, and set what a true record needs."""
@@ -295,7 +278,7 @@ class Ild1420(SerialStream):
                 break
         else:
             heard = f"{len(data)} bytes without the end of an answer" if data else "nothing"
-            raise DeviceError(self._device.name, f'sent {heard} when it was asked "{command}"')
+            raise self._error(f'sent {heard} when it was asked "{command}"')
         refused = _ERROR.search(answer) if command != "OUTPUT NONE" else None
         if refused:
             text = refused[0].decode("ascii", "replace").strip()
@@ -305,10 +288,10 @@ class Ild1420(SerialStream):
     def _identity(self, fields: dict[str, str]) -> Identity:
         name, expected = fields.get("Name", ""), self._options.range
         if not name.removeprefix(UNPROVEN).removeprefix(EMULATED).startswith("ILD1420"):
-            raise DeviceError(self._device.name, f'is "{name[:40]}" and no ILD1420')
+            raise self._error(f'is "{name[:40]}" and no ILD1420')
         span = re.fullmatch(r"(\d+(?:\.\d+)?) *mm", fields.get("Measuring range", ""))
         if span is None or float(span[1]) != expected:
             has = fields.get("Measuring range", "")[:20] or "without a range that it reports"
-            raise DeviceError(self._device.name, f"is a sensor of {has}, and the bench file says {expected} mm")
+            raise self._error(f"is a sensor of {has}, and the bench file says {expected} mm")
         serial, version = (fields.get(key, "")[:40] for key in ("Serial", "Version"))
         return who("Micro-Epsilon", name[:60], serial, version)

@@ -40,10 +40,8 @@ class Sensor(Streaming):
     def _carry_out(self, word: str, value: str) -> str:
         if word == "GETINFO":
             span, name = self._options.range, self._plant.model("ILD1420")
-            return (
-                f"\r\nName: {name}-{span}\r\nSerial: 1\r\nOption: 000\r\nMeasuring range: {span}.00mm\r\n"
-                "Version: 001.000"
-            )
+            about = f"\r\nName: {name}-{span}\r\nSerial: 1\r\nOption: 000\r\nMeasuring range: {span}.00mm"
+            return f"{about}\r\nVersion: 001.000"
         if word == "OUTPUT" and value in {"NONE", "RS422"}:
             self.streaming = value == "RS422"
             self.due = monotonic()

@@ -12,8 +12,8 @@ from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from time import monotonic, sleep
 from typing import TYPE_CHECKING
 
@@ -123,17 +123,17 @@ class LabJack(ModbusDevice):
 
     def start(self, rate: float) -> float:
         """Stream all channels together at `rate` [Hz], or read them; returns the rate used."""
-        name, options, inputs = self._device.name, self._options, list(self._options.inputs.values())
+        options, inputs = self._options, list(self._options.inputs.values())
         if not self._model.streams:
             deadline = monotonic() + CALL
             for item in inputs if self._model.ranges else ():
                 self._set_range(item, deadline)
             return super().start(rate)
         if not 0 < rate < math.inf or not inputs:
-            raise DeviceError(name, f"cannot sample {len(inputs)} channels at {rate} Hz")
+            raise self._error(f"cannot sample {len(inputs)} channels at {rate} Hz")
         if rate * len(inputs) > r.FASTEST:
             message = f"cannot take {rate * len(inputs):g} samples a second: a T7 takes at most {r.FASTEST:g}"
-            raise DeviceError(name, f"{message}, over all channels")
+            raise self._error(f"{message}, over all channels")
         self._end_stream()
         deadline = monotonic() + CALL
         if r.from_u32(self.get(r.STREAM_ENABLE, 2, deadline, "stream")) != [0]:
@@ -143,7 +143,7 @@ class LabJack(ModbusDevice):
             self.put(r.AIN_NEGATIVE + item.number, [item.negative], deadline, f"AIN{item.number}")
         scans = max(1, min(r.MOST_SAMPLES // len(inputs), round(rate * LATENCY)))
         names, address = [channel.name for channel in self._device.channels], (options.host, options.stream_port)
-        link = StreamLink(name, names, address, deadline - monotonic(), self._clock)
+        link = StreamLink(self._device.name, names, address, deadline - monotonic(), self._clock)
         try:
             used = self._configure(rate, scans, deadline)
             link.begin(used, scans, [self._tables[item.gain] for item in inputs])
@@ -306,28 +306,27 @@ class LabJack(ModbusDevice):
 
     def get(self, address: int, count: int, deadline: float, what: str) -> list[int]:
         """Read registers from an address on; raises LabJack's own reason if refused."""
-        try:
+        with self._explained(deadline, what):
             return self._opened().read("holding", address, count, deadline, what)
-        except DeviceError as error:
-            raise self._explained(error, deadline, what) from None
 
     def put(self, address: int, words: Sequence[int], deadline: float, what: str) -> None:
         """Write registers once; raises LabJack's own reason if refused."""
-        try:
+        with self._explained(deadline, what):
             self._opened().write(16, address, words, deadline, what)
-        except DeviceError as error:
-            raise self._explained(error, deadline, what) from None
 
-    def _explained(self, error: DeviceError, deadline: float, what: str) -> DeviceError:
-        """The error, for a refusal with the device's code of its last error."""
-        if not error.message.startswith("answers with exception"):
-            return error
+    @contextmanager
+    def _explained(self, deadline: float, what: str) -> Iterator[None]:
+        """Add the device's code of its last error to a refusal."""
         try:
-            [code] = self._opened().read("holding", r.LAST_ERR_DETAIL, 1, deadline, what)
-        except DeviceError:
-            return error
-        detail = ": ".join([f"its error {code}", *([r.ERRORS[code]] if code in r.ERRORS else [])])
-        return DeviceError(self._device.name, f"{error.message}; {detail}", what)
+            yield
+        except DeviceError as error:
+            if not error.message.startswith("answers with exception"):
+                raise
+            with suppress(DeviceError):
+                [code] = self._opened().read("holding", r.LAST_ERR_DETAIL, 1, deadline, what)
+                detail = ": ".join([f"its error {code}", *([r.ERRORS[code]] if code in r.ERRORS else [])])
+                error = self._error(f"{error.message}; {detail}", what)
+            raise error from None
 
 
 def watchdog_settings(device: DeviceRecord, seconds: int) -> list[tuple[int, list[int]]]:

@@ -90,10 +90,8 @@ def gains(constants: Sequence[float]) -> tuple[Gain, ...]:
             abs(positive / slope - 1) < 0.1 and abs(negative / slope + 1) < 0.1 and abs(center - NOMINAL_CENTER) < 3000
         )
         if not near:
-            raise ValueError(
-                f"calibration constants of gain {index} that no T7 has: slopes {positive:g} and {negative:g} V, "
-                f"centre {center:g}"
-            )
+            given = f"slopes {positive:g} and {negative:g} V, centre {center:g}"
+            raise ValueError(f"calibration constants of gain {index} that no T7 has: {given}")
         found.append(Gain(positive, negative, center))
     return tuple(found)
 

@@ -7,12 +7,13 @@ in real time.
 
 from __future__ import annotations
 
-import math
 import threading
-from typing import TYPE_CHECKING, TypeAlias
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from pmabench.base.clock import Clock, RealClock, VirtualClock
-from pmabench.base.errors import DeviceError
+from pmabench.base.errors import DeviceError as DeviceError
 from pmabench.bench.interface import Block, DeviceRecord, Identity, Load, OutputRecord, Segment
 from pmabench_drivers.mock.options import E_STOP, JOINT, PLATFORM, output_of, read_options
 from pmabench_drivers.shared.device import Driver, refuse_nonsense
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     AnySimulation: TypeAlias = Simulation | JointSimulation | PlatformSimulation
 
 
-class MockBench(Driver):
+class MockBench(Driver[Any]):
     """A bench with the simulated plant in it: streams, takes set-points, ramps and sines, and places loads.
 
     With the plant `joint` there are two muscles, with `platform` three: see `pmabench_drivers.mock.simulation`.
@@ -40,10 +41,11 @@ class MockBench(Driver):
 
     verified = "a simulation"
     read_options = staticmethod(read_options)
+    _link: AnySimulation | None
+    """The plant."""
 
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         super().__init__(device, clock)
-        self._opened: AnySimulation | None = None
         self._closed = threading.Event()
 
     def open(self) -> Identity:
@@ -51,26 +53,23 @@ class MockBench(Driver):
         from pmabench_drivers.mock.sampled import MEMORY
         from pmabench_drivers.mock.simulation import JointSimulation, PlatformSimulation, Simulation
 
-        try:
+        with self._refused():
             memory = 0.0 if isinstance(self._clock, RealClock) else MEMORY
             several: dict[str, type[AnySimulation]] = {JOINT: JointSimulation, PLATFORM: PlatformSimulation}
             made = several.get(self._options.plant, Simulation)
-            self._opened = made(self._device, self._options, self._now(), memory)
-        except ValueError as error:
-            raise DeviceError(self._device.name, str(error)) from error
+            self._link = made(self._device, self._options, self._now(), memory)
         self._closed.clear()
         options = self._options
         return Identity("pmabench", f"mock {options.plant} {options.preset}", str(options.seed), "1", simulated=True)
 
     def close(self) -> None:
         """Drop the plant."""
-        self._opened = None
+        self._link = None
         self._closed.set()
 
     def start(self, rate: float) -> float:
         """Start sampling: sample 0 is taken now, sample k at k / rate later; any rate above 0 [Hz] is kept exactly."""
-        if not 0 < rate < math.inf:
-            raise DeviceError(self._device.name, f"cannot sample at {rate} Hz")
+        self._refuse_rate(rate)
         self.simulation().start(rate)
         return rate
 
@@ -81,8 +80,8 @@ class MockBench(Driver):
 
     def stop(self) -> None:
         """Stop sampling."""
-        if self._opened is not None:
-            self._opened.stop()
+        if self._link is not None:
+            self._link.stop()
 
     def write(self, output: str, value: float) -> None:
         """Command a value [device units] at once."""
@@ -113,10 +112,8 @@ class MockBench(Driver):
     def pulse(self, output: str, seconds: float) -> None:
         """Open a valve of a platform for `seconds` from now."""
         self._valve(output)
-        try:
+        with self._refused(output):
             self.simulation().pulse(output, seconds)
-        except ValueError as error:
-            raise DeviceError(self._device.name, str(error), output) from error
 
     def is_on(self, output: str) -> bool:
         """Whether a valve is energised."""
@@ -133,10 +130,16 @@ class MockBench(Driver):
         self.simulation().place(load)
 
     def _command(self, output: str, segment: Segment, record: OutputRecord) -> None:
-        try:
+        with self._refused(output):
             self.simulation().command(output, segment, record.scale)
+
+    @contextmanager
+    def _refused(self, output: str = "") -> Iterator[None]:
+        """Raise what the plant refuses as DeviceError."""
+        try:
+            yield
         except ValueError as error:
-            raise DeviceError(self._device.name, str(error), output) from error
+            raise self._error(str(error), output) from error
 
     def _valve(self, output: str) -> None:
         self._known("valve", output, (valve.output for valve in self._device.valves))
@@ -152,20 +155,18 @@ class MockBench(Driver):
 
     def _linked(self) -> tuple[AnySimulation, float]:
         """The simulation, if its link works, and the clock's time [s]."""
-        if self._opened is None:
-            raise DeviceError(self._device.name, "is not open")
-        now = self._now()
+        simulation, now = self._opened(), self._now()
         self._check_link(now)
-        return self._opened, now
+        return simulation, now
 
     def _check_link(self, now: float) -> None:
         """Apply simulated faults of the link: hang, or raise DeviceError."""
         faults = self._options.faults
         if faults.hang_at is not None and now >= faults.hang_at:
             self._closed.wait()
-            raise DeviceError(self._device.name, "closed while it did not answer (simulated fault)")
+            raise self._error("closed while it did not answer (simulated fault)")
         if faults.lost_at is not None and now >= faults.lost_at:
-            raise DeviceError(self._device.name, "link lost (simulated fault)")
+            raise self._error("link lost (simulated fault)")
 
 
 def _moment(t: float) -> float:

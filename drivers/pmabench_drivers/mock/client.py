@@ -118,7 +118,7 @@ class Link:
         self._socket.close()
 
 
-class MockClient(Driver):
+class MockClient(Driver[Link]):
     """A bench whose simulated plant runs in real time in a separate process (`pmabench_drivers.mock.server`).
 
     Channels, outputs, dump valve, digital input and options are those of the driver `mock`
@@ -142,7 +142,6 @@ class MockClient(Driver):
             self._device = replace(device, options={**device.options, "log": log})
         self._address = parse_address(device.name, device.address)
         self._valves = {valve.output for valve in device.valves}
-        self._link: Link | None = None
         self._is_open = False
 
     # -- life -----------------------------------------------------------------------------------------------------
@@ -155,7 +154,7 @@ class MockClient(Driver):
         except ConnectionRefusedError as refused:
             if not self._service.start:
                 where = ":".join(map(str, self._address))
-                raise DeviceError(self._device.name, f"nobody listens at {where}") from refused
+                raise self._error(f"nobody listens at {where}") from refused
             self._start_process()
             link, identity = self._try(lambda: self._connect("client", time.monotonic() + START_WITHIN))
         except (OSError, ValueError) as error:
@@ -166,12 +165,7 @@ class MockClient(Driver):
     def close(self) -> None:
         """Disconnect from the plant, which stays as it is; may be called again."""
         self._is_open = False
-        self._drop()
-
-    def _drop(self) -> None:
-        link, self._link = self._link, None
-        if link is not None:
-            link.close()
+        self._hang_up()
 
     def _connect(self, role: str, by: float) -> tuple[Link, Identity]:
         link = Link(self._device.name, self._address, max(by - time.monotonic(), 1e-3))
@@ -196,16 +190,16 @@ class MockClient(Driver):
                 _, said = process.communicate(json.dumps(asdict(self._device)).encode(), START_WITHIN)
             except subprocess.TimeoutExpired as error:
                 process.kill()
-                raise DeviceError(self._device.name, f"its process did not start in {START_WITHIN:g} s") from error
+                raise self._error(f"its process did not start in {START_WITHIN:g} s") from error
         message = said.decode(errors="replace").strip()
         if message and "cannot serve at" not in message:  # another program may have started it at the same moment
-            raise DeviceError(self._device.name, message.splitlines()[-1].removeprefix(f"{self._device.name}: "))
+            raise self._error(message.splitlines()[-1].removeprefix(f"{self._device.name}: "))
 
     # -- questions ------------------------------------------------------------------------------------------------
 
     def _ask(self, do: str, **fields: Any) -> Message:
         if not self._is_open:
-            raise DeviceError(self._device.name, "is not open")
+            raise self._error("is not open")
         by = time.monotonic() + PATIENCE
 
         def ask() -> Message:
@@ -217,7 +211,7 @@ class MockClient(Driver):
             return self._try(ask)
         except DeviceError as error:
             if error.__cause__ is not None:
-                self._drop()
+                self._hang_up()
             raise
 
     def _try(self, act: Callable[[], Answer]) -> Answer:
@@ -229,10 +223,10 @@ class MockClient(Driver):
 
     def _failure(self, error: Exception) -> DeviceError:
         if isinstance(error, TimeoutError):
-            return DeviceError(self._device.name, "did not answer in time")
+            return self._error("did not answer in time")
         if isinstance(error, OSError):
-            return DeviceError(self._device.name, f"link lost ({error.strerror or error})")
-        return DeviceError(self._device.name, f"answered what cannot be read ({error})")
+            return self._error(f"link lost ({error.strerror or error})")
+        return self._error(f"answered what cannot be read ({error})")
 
     def _value(self, do: str, **fields: Any) -> Any:
         return self._ask(do, **fields)[0].get("value")

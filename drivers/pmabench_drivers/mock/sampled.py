@@ -120,9 +120,8 @@ class Damage:
             raw = own[channel.record.name]
             if error.reads:
                 raw = np.asarray(own[self._by_input[error.reads].record.name])
-            columns[channel.record.name] = np.where(
-                seconds >= error.at, channel.wrong(raw, error), own[channel.record.name]
-            )
+            name = channel.record.name
+            columns[name] = np.where(seconds >= error.at, channel.wrong(raw, error), own[name])
 
 
 def as_block(time: Any, columns: Mapping[str, Any]) -> Block:

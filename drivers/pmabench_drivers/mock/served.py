@@ -162,11 +162,11 @@ class Served:
 
     def _collect(self, asker: Asker) -> tuple[dict[str, Any], bytes]:
         if self._sampler not in {0, asker.pid}:
-            raise DeviceError(
-                self.device.name,
-                f"is sampled by another program now (process {self._sampler}), and gives its samples to one at a time: "
-                "end that one, or give this bench's device another address",
+            other = (
+                f"is sampled by another program now (process {self._sampler}), and gives its samples to one at a time"
             )
+            remedy = "end that one, or give this bench's device another address"
+            raise DeviceError(self.device.name, f"{other}: {remedy}")
         block = self._bench.collect()
         shift = round((self.clock.start - asker.zero) * 1e9)
         moments = (np.asarray(block.time, dtype="<i8") + shift).astype("<i8")

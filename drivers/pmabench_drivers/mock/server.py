@@ -241,11 +241,8 @@ class Server:
         others = any(c.asker.role in {"client", "rescue"} for c in self._connections if c is not connection)
         if others or plant.pressure > self._empty:
             why = "somebody uses it" if others else "its muscle is under pressure"
-            raise DeviceError(
-                plant.device.name,
-                f"another simulated bench is served at this address and {why}; "
-                f"end that run, or give this bench another address",
-            )
+            other = f"another simulated bench is served at this address and {why}"
+            raise DeviceError(plant.device.name, f"{other}; end that run, or give this bench another address")
         new = self._served(device_from(given), RealClock())
         plant.log.close()
         self._plant = new

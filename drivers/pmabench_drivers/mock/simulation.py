@@ -20,6 +20,7 @@ import copy
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +39,7 @@ from pmabench_drivers.mock import options as o
 from pmabench_drivers.mock.options import Options
 from pmabench_drivers.mock.sampled import MEMORY, Air, Sampled, Valves, waves_of
 
+Q = TypeVar("Q", float, NDArray[np.float64])
 LEAST_MASS = 0.01
 """Moving mass of a free end without load [kg]."""
 SETPOINTS = (0.0, 1e6)
@@ -76,9 +78,8 @@ class Simulation(Sampled):
             setup = changed(setup_of(options.numbers), options.preset, options.overrides)
         highest = SETPOINTS[1] if options.numbers is None else float(options.numbers["highest_pressure"])
         self._setpoints = (SETPOINTS[0], highest)
-        setup = replace(
-            setup, regulator=replace(setup.regulator, vent_ratio=setup.regulator.vent_ratio * options.slow_vent)
-        )
+        vent_ratio = setup.regulator.vent_ratio * options.slow_vent
+        setup = replace(setup, regulator=replace(setup.regulator, vent_ratio=vent_ratio))
         if setup.air is not None:
             setup = replace(setup, air=replace(setup.air, vent=setup.air.vent / options.slow_vent))
         noise = setup.noise
@@ -90,9 +91,8 @@ class Simulation(Sampled):
         super().__init__(device, options, sigma, memory)
         self._plant: Plant | RealPlant | DrivenPlant
         if options.free_end == "actuator":
-            actuator = Actuator(
-                options.actuator_low, options.actuator_high, options.actuator_speed, options.actuator_force
-            )
+            ends = options.actuator_low, options.actuator_high
+            actuator = Actuator(*ends, options.actuator_speed, options.actuator_force)
             self._plant = setup.driven(actuator, start=start)
         else:
             self._plant = setup.free(mass=options.carriage, start=start)
@@ -183,16 +183,8 @@ class Simulation(Sampled):
     def _along(self, until: float, times: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
         supply, regulator = self._supply(), self._regulator_before()
         motion = self._plant.advance(until, times)
-        return {
-            "pressure": motion.P,
-            "displacement": motion.x,
-            "force": motion.F,
-            "supply": np.full(len(times), supply),
-            "pressure_set": motion.P_set,
-            "displacement_set": motion.x_set,
-            o.ANGLE: motion.x / self._radius,
-            o.FLOW: self._inflow(regulator, motion.t, motion.P),
-        }
+        flow, supplies = self._inflow(regulator, motion.t, motion.P), np.full(len(times), supply)
+        return self._inputs(motion.P, motion.x, motion.F, supplies, motion.P_set, motion.x_set, flow)
 
     def _at(self, time: float) -> dict[str, float]:
         plant, regulator = self._plant, self._regulator_before()
@@ -202,16 +194,21 @@ class Simulation(Sampled):
         else:
             plant.advance(time)
             x, P, F = plant.reading()
-        return {
+        x_set = self.setpoint("displacement") if isinstance(plant, DrivenPlant) else 0.0
+        flow = float(self._inflow(regulator, np.array([plant.time]), np.array([P]))[0])
+        return self._inputs(P, x, F, self._supply(), plant.supply.setpoint(plant.time), x_set, flow)
+
+    def _inputs(self, P: Q, x: Q, F: Q, supply: Q, P_set: Q, x_set: Q, flow: Q) -> dict[str, Q]:
+        """What the channels are exposed to, by input."""
+        moved = {
             "pressure": P,
             "displacement": x,
             "force": F,
-            "supply": self._supply(),
-            "pressure_set": plant.supply.setpoint(plant.time),
-            "displacement_set": self.setpoint("displacement") if isinstance(plant, DrivenPlant) else 0.0,
+            "supply": supply,
             o.ANGLE: x / self._radius,
-            o.FLOW: float(self._inflow(regulator, np.array([plant.time]), np.array([P]))[0]),
+            o.FLOW: flow,
         }
+        return {**moved, "pressure_set": P_set, "displacement_set": x_set}
 
     def _regulator_before(self) -> Regulated:
         """The regulator before the plant advances; copied only if there is a flow meter."""

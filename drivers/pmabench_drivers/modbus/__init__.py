@@ -18,8 +18,8 @@ from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError, NotSent
 from pmabench.bench.interface import COMPUTER, DeviceRecord, Identity
 from pmabench_drivers.modbus import registers as r
-from pmabench_drivers.shared.device import Controlled, Polled
-from pmabench_drivers.shared.link import JOIN, Still, Unanswered, always, opened, who
+from pmabench_drivers.shared.device import Controlled, L, Polled
+from pmabench_drivers.shared.link import JOIN, Still, Unanswered, always, who
 
 if TYPE_CHECKING:
     from pmabench_drivers.modbus.adapter import Line
@@ -38,7 +38,7 @@ SHARE, LEAST = 0.25, 0.1
 """Fraction of the watchdog's time, and shortest time [s], that the polling thread waits for a call of the program."""
 
 
-class Watched(Polled):
+class Watched(Polled[L]):
     """A polled device whose own watchdog is made of registers."""
 
     _watchdog: r.WatchdogRegisters | None
@@ -113,7 +113,7 @@ class Watched(Polled):
         return self._watchdog
 
 
-class ModbusDevice(Watched, Controlled):
+class ModbusDevice(Watched["Line"], Controlled["Line"]):
     """A device with Modbus: `options: {map: ...}`; inputs, outputs and watchdog as its register map names them.
 
     Raw values are those of the registers; the bench file has the scaling. Ramps and sines are stepped at the poll rate.
@@ -131,7 +131,6 @@ class ModbusDevice(Watched, Controlled):
         self._spans = r.spans(self._inputs)
         polled = [register for span in self._spans for register in span.registers]
         self._places = [polled.index(register) for register in self._inputs]
-        self._line: Line | None = None
         self._watchdog = self._map.watchdog
         self._seen, self._over = ("", 0.0), 0
         """Last serial number and uptime, and the number of the connection they were read on."""
@@ -150,7 +149,7 @@ class ModbusDevice(Watched, Controlled):
     def open(self) -> Identity:
         """Connect, identify, and check the order of words by a known constant (if the map has one)."""
         self.close()
-        self._line = self._new_line()
+        line = self._link = self._new_line()
         deadline = monotonic() + OPEN
         with self._closed_on_error():
             found = {name: self._identify(item, deadline) for name, item in self._map.identity.items()}
@@ -158,9 +157,9 @@ class ModbusDevice(Watched, Controlled):
                 self._values(self._spans[:1], deadline)
             for _ in range(TRIED if self._spans else 0):
                 self._values(self._spans[:1], deadline)
-            self._over, self._seen = self._line.connections, self._who(deadline)
+            self._over, self._seen = line.connections, self._who(deadline)
         maker, model, serial, firmware = (found.get(name, "") for name in ("maker", "model", "serial", "firmware"))
-        answers = self._line.quickest
+        answers = line.quickest
         return who(maker, model, serial, firmware, clock=COMPUTER, answers=answers if answers < math.inf else 0.0)
 
     def close(self) -> None:
@@ -168,7 +167,7 @@ class ModbusDevice(Watched, Controlled):
         self._following.clear()
         self._streaming = False
         self._armed = 0.0
-        line, self._line = self._line, None
+        line, self._link = self._link, None
         if line is not None:
             line.cut()
         self._cycle.stop(JOIN)
@@ -290,7 +289,7 @@ class ModbusDevice(Watched, Controlled):
         register = self._map.outputs[output]
         self._following.pop(output, None)
         words, function = self._words(register, value), self._function(register)
-        line, deadline = self._line, monotonic() + CALL
+        line, deadline = self._link, monotonic() + CALL
         if line is not None and line.is_serial:
             line.write(function, register.address, words, deadline, output)
             return
@@ -347,9 +346,6 @@ class ModbusDevice(Watched, Controlled):
         return self._identify(serial, deadline), 0.0 if uptime is None else self._get(uptime, deadline)
 
     # -- registers ------------------------------------------------------------------------------------------------
-
-    def _opened(self) -> Line:
-        return opened(self._line, self._device.name)
 
     def _switched(self, output: str) -> r.Register:
         self._known("valve output", output, set(self._map.outputs) - set(self._outputs))
@@ -415,9 +411,8 @@ class ModbusDevice(Watched, Controlled):
             if lost is None:
                 shown = f"was commanded {wanted:g} and {self._shows(register, held)}"
                 raise NotSent(self._device.name, shown, register.name)
-            raise self._error(
-                f"did not answer to the command {wanted:g} and {self._shows(register, held)}", register.name
-            )
+            shown = f"did not answer to the command {wanted:g} and {self._shows(register, held)}"
+            raise self._error(shown, register.name)
 
     def _shows(self, _register: r.Register, held: float) -> str:
         """Value of a register, in words."""

@@ -18,6 +18,7 @@ import socket
 import struct
 import threading
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
 from time import monotonic, sleep
 from typing import Any
@@ -161,6 +162,23 @@ class _Rtu(ModbusSerialClient):
         """No effect: calls on a serial port end by themselves."""
 
 
+@dataclass(frozen=True)
+class Question:
+    """One request: how it is sent, what its answer looks like, until when [s, monotonic], and what it is about."""
+
+    send: Callable[[], Any]
+    wanted: Signature
+    deadline: float
+    what: str
+    still: Still = always
+    sample: bool = False
+
+    @property
+    def passing(self) -> bool:
+        """Whether it is a sample or a step of a ramp: the next one comes soon enough."""
+        return self.sample or self.still is not always
+
+
 class Line:
     """The connection of one device at `address` (HOST, HOST:PORT, or the path of a serial port), used by any thread.
 
@@ -213,7 +231,7 @@ class Line:
         bits = table in BIT_TABLES
         size = (count + 7) // 8 * 8 if bits else count
         ask = lambda: call(address, count=count, device_id=unit)  # noqa: E731
-        answer = self._ask(ask, (READ[table], size), deadline, what, sample=sample)
+        answer = self._ask(Question(ask, (READ[table], size), deadline, what, sample=sample))
         return [int(bit) for bit in answer.bits[:count]] if bits else answer.registers
 
     def write(
@@ -232,7 +250,7 @@ class Line:
             16: lambda: self._client.write_registers(address, list(words), device_id=unit),
         }
         echo = words[0] if function in {5, 6} else len(words)
-        self._ask(calls[function], (function, address, echo), deadline, what, still)
+        self._ask(Question(calls[function], (function, address, echo), deadline, what, still))
 
     def overrule(
         self,
@@ -301,41 +319,23 @@ class Line:
         while self._overdue and monotonic() < until:
             sleep(GIVES_WAY)
 
-    def _ask(
-        self,
-        send: Callable[[], Any],
-        wanted: Signature,
-        deadline: float,
-        what: str,
-        still: Still = always,
-        *,
-        sample: bool = False,
-    ) -> Any:
+    def _ask(self, question: Question) -> Any:
         """As `_ask_once`; sent again while the device answers that it is busy, as the specification asks for.
 
-        Neither a sample nor a step of a ramp: the next one comes soon enough. A value that is written twice is the
-        same value.
+        A value that is written twice is the same value.
         """
         while True:
             try:
-                return self._ask_once(send, wanted, deadline, what, still, sample=sample)
+                return self._ask_once(question)
             except Busy:
-                if sample or still is not always or monotonic() + AGAIN >= deadline:
+                if question.passing or monotonic() + AGAIN >= question.deadline:
                     raise
                 sleep(AGAIN)
 
-    def _ask_once(
-        self,
-        send: Callable[[], Any],
-        wanted: Signature,
-        deadline: float,
-        what: str,
-        still: Still = always,
-        *,
-        sample: bool = False,
-    ) -> Any:
+    def _ask_once(self, question: Question) -> Any:
         """Send one request and return its answer; errors of the library are raised as DeviceError."""
-        if not sample and still is always:
+        wanted, deadline, what, sample = question.wanted, question.deadline, question.what, question.sample
+        if not question.passing:
             self.called = monotonic()
         with self._turn(deadline, what, sample=sample):
             if self._closed:
@@ -349,13 +349,13 @@ class Line:
             now = monotonic()
             if (limit := min(deadline, now + self._timeout)) <= now:
                 raise DeviceError(self._device, "no time was left to ask", what)
-            if not still():
+            if not question.still():
                 return None
             self._client.deadline = limit
             self._client.comm_params.timeout_connect = max(limit - now, 0.001)
             self.asked = now if sample else self.asked
             try:
-                answer = send()
+                answer = question.send()
                 while not self._belongs(answer, wanted):
                     answer = self._next_answer()
             except (ModbusException, OSError, TypeError, ValueError, IndexError, struct.error) as error:
@@ -403,10 +403,8 @@ class Line:
             if all(signature != wanted for signature, _until in self._owed):
                 return
             if monotonic() >= deadline:
-                message = (
-                    "is not asked again yet, so that a late answer to the last question is not taken for a new one"
-                )
-                raise DeviceError(self._device, message, what)
+                why = "so that a late answer to the last question is not taken for a new one"
+                raise DeviceError(self._device, f"is not asked again yet, {why}", what)
             self._client.deadline = min(deadline, self._owed[0][1])
             with contextlib.suppress(OSError, TypeError):
                 self._came(self._client.recv(None))
@@ -454,7 +452,7 @@ class NamedLine(Line):
         found: dict[int, str] = {}
         for code in (BASIC, REGULAR):
             query = partial(self._client.read_device_information, read_code=code, object_id=0, device_id=self._unit_id)
-            answer = self._ask(query, (IDENTIFY, code), deadline, "identification")
+            answer = self._ask(Question(query, (IDENTIFY, code), deadline, "identification"))
             for number, item in answer.information.items():
                 data = item[0] if isinstance(item, list) else item
                 found[number] = "".join(chr(byte) for byte in data if 32 <= byte < 127).strip()

@@ -230,16 +230,16 @@ def _read_map(data: Any, place: Place, reader: Reader) -> RegisterMap:
 
     said = reader.keys(given.get("identity", {}), (*place, "identity"), IDENTITY)
     asked = registers("identity", {name: item for name, item in said.items() if not isinstance(item, str)})
-    watchdog = given.get("watchdog")
+    watchdog, uptime = given.get("watchdog"), None
+    if "uptime" in given:
+        uptime = _register("uptime", given["uptime"], (*place, "uptime"), reader, words, "uptime")
     return replace(
         plain,
         identity={**said, **asked},
         inputs=named("inputs"),
         outputs=named("outputs"),
         watchdog=None if watchdog is None else _watchdog(watchdog, (*place, "watchdog"), reader, words),
-        uptime=_register("uptime", given["uptime"], (*place, "uptime"), reader, words, "uptime")
-        if "uptime" in given
-        else None,
+        uptime=uptime,
     )
 
 
@@ -260,22 +260,11 @@ def _register(name: str, data: Any, place: Place, reader: Reader, usual: str, us
     length = reader.whole(given, "length", place, 1, 60, 1) if kind == "text" else 0
     if kind != "text" and "length" in given:
         reader.fault((*place, "length"), "only a text has a length; numbers have that of their type")
-    register = Register(
-        name,
-        table,
-        reader.whole(given, "address", place, 0, 65535),
-        kind,
-        words,
-        bit,
-        length,
-        reader.number(given, "expect", place),
-    )
+    address, expect = reader.whole(given, "address", place, 0, 65535), reader.number(given, "expect", place)
+    register = Register(name, table, address, kind, words, bit, length, expect)
     if use == "uptime" and register.type not in UPTIMES:
-        reader.fault(
-            (*place, "type"),
-            f"a number that only grows needs 32 bits ({', '.join(UPTIMES)}): one of 16 bits soon begins again at 0, "
-            "which would be taken for a restart",
-        )
+        why = "one of 16 bits soon begins again at 0, which would be taken for a restart"
+        reader.fault((*place, "type"), f"a number that only grows needs 32 bits ({', '.join(UPTIMES)}): {why}")
     if register.expect is not None and use != "identity":
         reader.fault((*place, "expect"), 'belongs to a register of "identity"')
     if register.address + register.count > 65536:

@@ -22,7 +22,8 @@ from pmabench.bench.interface import Block, DeviceRecord, Identity, OutputRecord
 from pmabench_drivers.ni_daq.connection import Connection
 from pmabench_drivers.ni_daq.options import Input, Options, read_options
 from pmabench_drivers.shared.device import Led
-from pmabench_drivers.shared.link import JOIN, Cycle, Pace, Samples, Still, Unanswered, opened
+from pmabench_drivers.shared.link import JOIN, Cycle, Pace, Samples, Still, Unanswered
+from pmabench_drivers.shared.link import opened as opened
 
 FETCH = 0.17
 """Longest time of a fetch [s]."""
@@ -128,7 +129,7 @@ class Sampling:
         self.newest = last, {name: column[-1] for name, column in zip(self._names, columns, strict=True)}
 
 
-class NiDaq(Led):
+class NiDaq(Led[Connection]):
     """Inputs `ai0`... [V], outputs `ao0`, `ao1` [V], lines `port0/line0`...; by NI-DAQmx here or NI's gRPC server."""
 
     emulator = "pmabench_drivers.ni_daq.emulated"
@@ -139,7 +140,6 @@ class NiDaq(Led):
         super().__init__(device, clock)
         self._sampling: Sampling | None = None
         self._turn = threading.Lock()
-        self._link: Connection | None = None
         self._second: Connection | None = None
         self._held: dict[str, float] = {}
         self._sent: dict[str, float] = {}
@@ -180,9 +180,6 @@ class NiDaq(Led):
         if link is not None:
             with suppress(DeviceError), link.calls(CALL):
                 link.close()
-
-    def _opened(self) -> Connection:
-        return opened(self._link, self._device.name)
 
     # -- samples --------------------------------------------------------------------------------------------------
 

@@ -109,10 +109,8 @@ class Connection:
         from nidaqmx.errors import DaqError, DaqNotFoundError, DaqNotSupportedError, RpcError
 
         if isinstance(error, DaqNotFoundError | DaqNotSupportedError):
-            message = (
-                "NI-DAQmx, NI's driver, is not on this computer: install it from NI, or give the address of NI's gRPC "
-                'server where it is: "options: {server: HOST:31763}"'
-            )
+            server = 'give the address of NI\'s gRPC server where it is: "options: {server: HOST:31763}"'
+            message = f"NI-DAQmx, NI's driver, is not on this computer: install it from NI, or {server}"
             return DeviceError(self._name, message, what)
         if isinstance(error, DaqError):
             code = int(error.error_code)
@@ -342,9 +340,8 @@ class Connection:
             message = f"cannot take {rate * len(inputs):g} samples a second: at most {self._fastest:g}"
             raise DeviceError(self._name, f"{message}, over all channels")
         self.end()
-        task.timing.cfg_samp_clk_timing(
-            rate, sample_mode=AcquisitionType.CONTINUOUS, samps_per_chan=max(2, round(BUFFER * rate))
-        )
+        kept = max(2, round(BUFFER * rate))
+        task.timing.cfg_samp_clk_timing(rate, sample_mode=AcquisitionType.CONTINUOUS, samps_per_chan=kept)
         task.control(TaskMode.TASK_COMMIT)
         used = float(task.timing.samp_clk_rate)
         if not abs(used / rate - 1) < 0.1:

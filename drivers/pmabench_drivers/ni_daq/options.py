@@ -96,11 +96,9 @@ def read_options(device: DeviceRecord, reader: Reader) -> Options:
         for name in chosen:
             reader.known((*HERE, key, name), "no channel uses", name, used)
     if device.watchdog:
-        reader.fault(
-            ("watchdog",),
-            "NI-DAQmx has none for the outputs of such a device, which hold their last value when the computer dies: "
-            'give "no_watchdog" with who accepts it, and a normally-open dump valve that needs a live signal',
-        )
+        what = "NI-DAQmx has none for the outputs of such a device, which hold their last value when the computer dies"
+        remedy = 'give "no_watchdog" with who accepts it, and a normally-open dump valve that needs a live signal'
+        reader.fault(("watchdog",), f"{what}: {remedy}")
     reader.lines(device, LINES, "; known: port0/line0 to port1/line7")
     return replace(
         options,

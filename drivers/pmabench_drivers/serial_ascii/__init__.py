@@ -22,7 +22,7 @@ from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import COMPUTER, Block, ChannelRecord, DeviceRecord, Identity
 from pmabench_drivers.shared import serial_port as sp
 from pmabench_drivers.shared.device import Polled
-from pmabench_drivers.shared.link import JOIN, Flow, opened, who
+from pmabench_drivers.shared.link import JOIN, Flow, who
 from pmabench_drivers.shared.options import BAUDS, PARITIES, Place, Reader, option
 
 LONGEST_PATTERN = 300
@@ -51,10 +51,9 @@ def pattern_problem(pattern: str) -> str:
     position = 0
     while position < len(pattern):
         if (token := _TOKEN.match(pattern, position)) is None:
-            return (
-                f'cannot be used from "{pattern[position : position + 12]}" on; characters, [classes], \\d \\w \\s, '
-                "groups, | and repetitions are understood, references and looks around are not"
-            )
+            known = "characters, [classes], \\d \\w \\s, groups, | and repetitions are understood"
+            begins = pattern[position : position + 12]
+            return f'cannot be used from "{begins}" on; {known}, references and looks around are not'
         position = token.end()
         if (times := _QUANTIFIER.match(pattern, position)) is None:
             continue
@@ -232,7 +231,7 @@ PATIENCE = 0.5
 """Time, and at least three lines, without a readable line after which `collect` raises an error [s]."""
 
 
-class SerialIndicator(Polled):
+class SerialIndicator(Polled[sp.SerialPort]):
     """An indicator that sends text: `options` give the poll string (or none), the pattern of a line, and the rate.
 
     Each named group of the pattern is an input; `unit` and `status` are checked in every line.
@@ -245,7 +244,6 @@ class SerialIndicator(Polled):
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         super().__init__(device, clock)
         self._reader = LineReader(self._options, device.channels)
-        self._port: sp.SerialPort | None = None
         self._splitter = sp.Splitter(self._options.terminator)
         self._flow = Flow(PATIENCE)
         self._heard = 0.0
@@ -260,7 +258,7 @@ class SerialIndicator(Polled):
         self.close()
         options = self._options
         settings = {"bytesize": options.data_bits, "parity": options.parity, "stopbits": options.stop_bits}
-        self._port = sp.SerialPort(self._device.name, self._device.address, options.baud, self._clock, **settings)
+        self._link = sp.SerialPort(self._device.name, self._device.address, options.baud, self._clock, **settings)
         with self._closed_on_error():
             model = self._ask_identity()
             self._first_line()
@@ -269,9 +267,7 @@ class SerialIndicator(Polled):
     def close(self) -> None:
         """Stop reading and close the port."""
         self._cycle.stop(JOIN)
-        port, self._port = self._port, None
-        if port is not None:
-            port.close()
+        self._hang_up()
 
     def start(self, rate: float) -> float:
         """Poll at `rate` [Hz] or the highest allowed rate; an indicator that sends by itself keeps its own rate."""
@@ -304,8 +300,8 @@ class SerialIndicator(Polled):
     def stop(self) -> None:
         """Stop reading; two threads would take each other's bytes."""
         self._cycle.stop(JOIN)
-        if self._port is not None:
-            self._port.hush()
+        if self._link is not None:
+            self._link.hush()
 
     # -- polled ---------------------------------------------------------------------------------------------------
 
@@ -399,6 +395,3 @@ class SerialIndicator(Polled):
         except sp.Wrong as error:
             raise self._error(str(error)) from None
         raise self._error(f"sent no line that can be read within {OPEN:g} s{last}")
-
-    def _opened(self) -> sp.SerialPort:
-        return opened(self._port, self._device.name)

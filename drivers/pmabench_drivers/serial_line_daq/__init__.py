@@ -24,7 +24,7 @@ from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import Block, DeviceRecord, Identity
 from pmabench_drivers.shared.device import Led
-from pmabench_drivers.shared.link import JOIN, Samples, Still, Unanswered, always, opened, turn, who
+from pmabench_drivers.shared.link import JOIN, Samples, Still, Unanswered, always, turn, who
 from pmabench_drivers.shared.options import BAUDS, Reader, names_in
 from pmabench_drivers.shared.serial_port import SerialPort, Splitter, readable
 
@@ -163,9 +163,8 @@ def read_options(device: DeviceRecord, reader: Reader) -> int:
             reader.fault(("outputs", valve.name, "energised"), message)
     shortest, longest = WATCHDOG
     if (device.outputs or device.valves) and not device.watchdog:
-        reader.fault(
-            (), f'outputs work only under the watchdog of the board: add "watchdog: 500 ms" (at most {longest:g} s)'
-        )
+        remedy = f'add "watchdog: 500 ms" (at most {longest:g} s)'
+        reader.fault((), f"outputs work only under the watchdog of the board: {remedy}")
     elif device.watchdog and not shortest <= device.watchdog <= longest:
         reader.fault(("watchdog",), f"the board's watchdog takes {shortest * 1e3:g} ms to {longest:g} s")
     return baud
@@ -247,7 +246,7 @@ class Link(SerialPort):
             waiting.put([fields[0], *fields[2:]])
 
 
-class SerialLineDaq(Led):
+class SerialLineDaq(Led[Link]):
     """A board with the program of `sketch`, or another with its protocol; its only option is `baud`.
 
     Inputs are `a0` to `a5` (counts) and `d0` to `d5` (levels), outputs `o0` to `o3` (counts) and `v0` to `v3` (valves).
@@ -266,7 +265,6 @@ class SerialLineDaq(Led):
         super().__init__(device, clock)
         self._columns = [index_of(channel.input, "a") or 0 for channel in device.channels]
         self._samples = Samples([channel.name for channel in device.channels])
-        self._link: Link | None = None
         self._has = dict.fromkeys(NAMES, 0)
         self._full_scale, self._shortest = 0, 1
         self._timeline: Timeline | None = None
@@ -294,9 +292,7 @@ class SerialLineDaq(Led):
         self._timeline, self._armed, self._failure = None, 0.0, None
         self._steps.note(None)
         self._before, self._samples = None, Samples([channel.name for channel in self._device.channels])
-        link, self._link = self._link, None
-        if link is not None:
-            link.close()
+        self._hang_up()
 
     def _identify(self, link: Link, deadline: float) -> Identity:
         while True:
@@ -370,10 +366,8 @@ class SerialLineDaq(Led):
             return  # left over: another program started the sampling
         if (micros := timeline.place(sample, now)) is None:
             if timeline.misfits == MISFITS:
-                message = (
-                    "the number of its samples and its clock do not fit: it has started again, or is no such board"
-                )
-                self._failure = self._error(message)
+                why = "it has started again, or is no such board"
+                self._failure = self._error(f"the number of its samples and its clock do not fit: {why}")
             return
         self._heard = monotonic()
         self._samples.append(micros * 1000, [float(sample.counts[i]) for i in self._columns], round(now * 1e9))
@@ -454,9 +448,6 @@ class SerialLineDaq(Led):
         return {"watchdog": seconds, **dict(zip(("model", "serial"), about[2:4], strict=False))}
 
     # -- questions ------------------------------------------------------------------------------------------------
-
-    def _opened(self) -> Link:
-        return opened(self._link, self._device.name)
 
     def _ask(self, letter: str, *values: int, until: float = 0.0) -> int:
         """The number in the board's answer."""

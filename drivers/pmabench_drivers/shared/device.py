@@ -12,12 +12,12 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from functools import partial
-from typing import Any
+from typing import Any, Generic, Protocol, TypeVar
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError, NotSent, did_you_mean
 from pmabench.bench.interface import Block, DeviceRecord, OutputRecord, Segment
-from pmabench_drivers.shared.link import Cycle, Samples, Still
+from pmabench_drivers.shared.link import Cycle, Samples, Still, opened
 from pmabench_drivers.shared.options import Place, Reader, options_of
 
 STEPS = 100.0
@@ -69,10 +69,22 @@ def _on_step(value: float, resolution: float, low: float, high: float) -> float:
     return min(max(value, low), high)
 
 
-class Driver(ABC):
-    """One device of a bench with its options."""
+class Closes(Protocol):
+    """A connection to a device."""
+
+    def close(self) -> None:
+        """Close it; may be called again."""
+
+
+L = TypeVar("L", bound=Closes)
+"""The kind of connection that a driver has."""
+
+
+class Driver(ABC, Generic[L]):
+    """One device of a bench with its options, and while it is open its connection."""
 
     _options: Any
+    _link: L | None = None
 
     @staticmethod
     @abstractmethod
@@ -94,6 +106,16 @@ class Driver(ABC):
     @abstractmethod
     def close(self) -> None:
         """Close the connection; may be called again."""
+
+    def _opened(self) -> L:
+        """The connection; raises DeviceError if the device is not open."""
+        return opened(self._link, self._device.name)
+
+    def _hang_up(self) -> None:
+        """Close the connection, if there is one."""
+        link, self._link = self._link, None
+        if link is not None:
+            link.close()
 
     @contextmanager
     def _closed_on_error(self) -> Iterator[None]:
@@ -121,7 +143,16 @@ class Driver(ABC):
             raise self._error(f"cannot sample at {rate} Hz")
 
 
-class Polled(Driver):
+class Rated(Driver[L]):
+    """A device whose options have its highest `rate` of sampling [Hz]."""
+
+    @classmethod
+    def fastest(cls, device: DeviceRecord) -> float:
+        """Highest rate of its options [Hz]; its line may allow less."""
+        return float(cls.read_options(device, Reader()).rate)
+
+
+class Polled(Rated[L]):
     """A device that is read for each sample, by a thread that calls `_tick` at absolute deadlines."""
 
     _doing = "polling"
@@ -132,11 +163,6 @@ class Polled(Driver):
         self._samples = Samples([channel.name for channel in device.channels])
         self._cycle = Cycle(f"polls {device.name}", self._tick, clock)
         self._streaming = False
-
-    @classmethod
-    def fastest(cls, device: DeviceRecord) -> float:
-        """Highest rate at which it is polled [Hz]; its line may allow less."""
-        return float(cls.read_options(device, Reader()).rate)
 
     @abstractmethod
     def _tick(self) -> None:
@@ -176,7 +202,7 @@ class Polled(Driver):
         self._samples.append(round((asked + answered) / 2 * 1e9), list(values), round(answered * 1e9))
 
 
-class Stepped(Driver):
+class Stepped(Driver[L]):
     """A device that takes single set-points: the driver sends those of a ramp or sine one by one."""
 
     _following: dict[str, Segment]
@@ -246,16 +272,12 @@ class Stepped(Driver):
         return self._following.get(output) is segment
 
 
-class Led(Stepped):
+class Led(Stepped[L]):
     """A device that samples by itself; a thread of the driver steps ramps and sines, 100 times a second."""
 
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         super().__init__(device, clock)
         self._steps = Cycle(f"leads {device.name}", self._lead, clock)
-
-    @abstractmethod
-    def _opened(self) -> object:
-        """The link; raises DeviceError if the device is not open."""
 
     def _begin_steps(self) -> None:
         self._opened()
@@ -267,7 +289,7 @@ class Led(Stepped):
         self._steps.note(self._step())
 
 
-class Controlled(Stepped, Polled):
+class Controlled(Stepped[L], Polled[L]):
     """A polled device with set-points, whose one thread polls and steps."""
 
     def _begin_steps(self) -> None:

@@ -282,9 +282,8 @@ class Listening(ABC):
         """Start a thread that passes each piece to `take`."""
         self.hush()
         self.gone, self._halt = "", threading.Event()
-        self._thread = threading.Thread(
-            target=self._hand_on, args=(take, self._halt), name=f"reads {self._device}", daemon=True
-        )
+        name, given = f"reads {self._device}", (take, self._halt)
+        self._thread = threading.Thread(target=self._hand_on, args=given, name=name, daemon=True)
         self._thread.start()
 
     @property

@@ -18,7 +18,7 @@ from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import Block, DeviceRecord, Identity
 from pmabench_drivers.shared.device import Driver
-from pmabench_drivers.shared.link import Listening, Samples, opened, reason
+from pmabench_drivers.shared.link import Listening, Samples, reason
 
 LONGEST_LINE = 120
 PIECE = 0.02
@@ -147,12 +147,11 @@ class SerialPort(Listening):
             self._port.close()
 
 
-class SerialStream(Driver):
+class SerialStream(Driver[SerialPort]):
     """One device with its own port; a kind of device defines how it is set up, stopped and read."""
 
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         super().__init__(device, clock)
-        self._port: SerialPort | None = None
         self._forget()
 
     @abstractmethod
@@ -180,16 +179,14 @@ class SerialStream(Driver):
     def open(self) -> Identity:
         """Stop its stream, check the model, and write the settings that a complete record needs; they are not saved."""
         self.close()
-        self._port = SerialPort(self._device.name, self._device.address, self._options.baud, self._clock)
+        self._link = SerialPort(self._device.name, self._device.address, self._options.baud, self._clock)
         with self._closed_on_error():
             return self._greet()
 
     def close(self) -> None:
         """Stop its stream and close the port."""
-        if (port := self._port) is not None:
-            self.stop()
-            self._port = None
-            port.close()
+        self.stop()
+        self._hang_up()
 
     def collect(self) -> Block:
         """Samples since the last call; raises DeviceError if it is silent, or the stream has failed."""
@@ -203,7 +200,7 @@ class SerialStream(Driver):
 
     def stop(self) -> None:
         """End the stream; may be called again."""
-        port = self._port
+        port = self._link
         if port is not None and port.listening:
             port.hush()
             with contextlib.suppress(DeviceError):  # a lost port sends nothing either
@@ -219,6 +216,3 @@ class SerialStream(Driver):
         port = self._opened()
         self.stop()
         return port
-
-    def _opened(self) -> SerialPort:
-        return opened(self._port, self._device.name)

@@ -1,4 +1,4 @@
-"""The bench file: devices, channels, outputs, air; limits, watch list, safe state, proof of the vent path; session."""
+"""The bench file: devices, channels, outputs, free end, air; limits, safe state and session are in other modules."""
 
 from __future__ import annotations
 
@@ -7,189 +7,12 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag, WithJsonSchema, model_validator
 
-from pmabench.base.quantities import MUSCLES, without_number
+from pmabench.base.quantities import MUSCLES
+from pmabench.bench.files import safety
 from pmabench.bench.files import specimen as s
+from pmabench.bench.files.session import SessionFile
 from pmabench.files import quantity as q
 from pmabench.files.document import Strict, among, schema_of
-
-Action = Literal["warn", "hold", "stop", "vent"]
-"""Consequence of a crossed limit: a line in the record, no new command until it is over, a controlled stop, a vent."""
-
-WATCH_KEYS = {
-    "rate": ("faster_than", "for"),
-    "stale": ("for",),
-    "frozen": ("for",),
-    "off_range": ("for",),
-    "following": ("more_than", "for"),
-    "burst": ("falls", "within"),
-    "slack": ("below", "for"),
-}
-"""Kind of watch -> its keys."""
-WATCH_OPTIONAL = {("rate", "for"), ("off_range", "for"), ("slack", "for")}
-UpToAMinute = Annotated[q.Time, s.within(0.0, 60.0, "time")]
-"""A wait of the watch list, the safe state or the proof of the vent path; the muscle may be full meanwhile."""
-Deadline = Annotated[s.TimeAbove0, s.within(0.0, 60.0, "time")]
-"""The same, above zero."""
-ALIASES = {"for_": "for"}
-"""Field of a model -> its key in the file."""
-
-SAFE_KEYS = {
-    "set": ("to", "within"),
-    "ramp_down": ("at", "to", "within"),
-    "drive_quick_stop": ("within",),
-    "hold": (),
-    "open": ("within",),
-    "close": ("within",),
-    "confirm": ("below", "within"),
-}
-"""Action of the safe state -> its keys."""
-SAFE_OPTIONAL = {("ramp_down", "to")}
-
-
-class LimitFile(Strict):
-    """Limits on one quantity: `command` is what may be set, `trip` what may be measured."""
-
-    command: s.Reading | None = None
-    command_low: s.Reading | None = None
-    trip: s.Reading | None = None
-    trip_low: s.Reading | None = None
-    delay: q.Time = 0.0
-    action: Action = "vent"
-
-
-def one_of(model: Strict, kinds: dict[str, tuple[str, ...]], optional: set[tuple[str, str]]) -> str:
-    """The kind of an entry; raises ValueError if that is not clear, a key is missing or one does not belong to it."""
-    given = {ALIASES.get(name, name) for name in model.model_fields_set if getattr(model, name) is not None}
-    found = [kind for kind in kinds if kind in given]
-    if len(found) != 1:
-        what = "none" if not found else " and ".join(f'"{kind}"' for kind in found)
-        raise ValueError(f"exactly one of {', '.join(kinds)} is expected here, and there is {what}")
-    kind = found[0]
-    missing = [key for key in kinds[kind] if key not in given and (kind, key) not in optional]
-    if missing:
-        raise ValueError(f'"{kind}" needs "{missing[0]}"')
-    if extra := sorted(given - {kind, "action", *kinds[kind]}):
-        belongs = ", ".join(f'"{key}"' for key in kinds[kind]) or "nothing else"
-        raise ValueError(f'"{extra[0]}" does not belong to "{kind}", which takes {belongs}')
-    return kind
-
-
-class WatchFile(Strict):
-    """One thing to watch in addition to the limits; which of the kinds is given says what."""
-
-    rate: s.Name | None = None
-    stale: s.Name | None = None
-    frozen: s.Name | None = None
-    off_range: s.Name | None = None
-    following: s.Name | None = None
-    burst: s.Name | None = None
-    slack: s.Name | None = None
-    faster_than: s.Reading | None = None
-    more_than: s.Reading | None = None
-    falls: s.Reading | None = None
-    below: s.Reading | None = None
-    within: Deadline | None = None
-    for_: Annotated[UpToAMinute | None, Field(alias="for")] = None
-    action: Action
-
-    @property
-    def kind(self) -> str:
-        """Kind of the entry, a key of `WATCH_KEYS`."""
-        return one_of(self, WATCH_KEYS, WATCH_OPTIONAL)
-
-    @property
-    def channel(self) -> str:
-        """The watched channel."""
-        return str(getattr(self, self.kind))
-
-    @model_validator(mode="after")
-    def _one_kind(self) -> WatchFile:
-        assert self.kind  # noqa: S101  (raises unless there is exactly one)
-        return self
-
-
-class SafeActionFile(Strict):
-    """One ordered action of the safe state; which of the verbs is given says what."""
-
-    set: s.Name | None = None
-    ramp_down: s.Name | None = None
-    drive_quick_stop: s.Name | None = None
-    hold: UpToAMinute | None = None
-    open: s.Name | None = None
-    close: s.Name | None = None
-    confirm: s.Name | None = None
-    to: s.Reading | None = None
-    at: s.Reading | None = None
-    below: s.Reading | None = None
-    within: Deadline | None = None
-    """Deadline, after which the next action starts in any case."""
-
-    @property
-    def verb(self) -> str:
-        """Verb of the action, a key of `SAFE_KEYS`."""
-        return one_of(self, SAFE_KEYS, SAFE_OPTIONAL)
-
-    @model_validator(mode="after")
-    def _one_verb(self) -> SafeActionFile:
-        assert self.verb  # noqa: S101  (raises unless there is exactly one)
-        return self
-
-
-class InputFile(Strict):
-    """A digital input of a device."""
-
-    device: str
-    input: str
-
-
-class InterlockFile(Strict):
-    """A digital input that must stay at its safe level, else the guard vents and latches."""
-
-    name: s.Name
-    input: InputFile
-    safe: Literal["high", "low"] = "high"
-
-
-class StopFile(Strict):
-    """A controlled stop: the pressure goes down at a rate, then the safe state follows."""
-
-    ramp: s.RateAbove0
-
-
-PROVEN = 0.8
-"""Largest fraction of the filled pressure to which a vent path that is proven may leave it [1]."""
-
-
-class ProofFile(Strict):
-    """The vent path tried before each use: filled to `pressure`, it must be `below` after `within`."""
-
-    pressure: s.PressureAbove0
-    below: s.PressureAbove0
-    within: Deadline
-    fill: Deadline = 5.0
-    """Longest time for filling."""
-
-    @model_validator(mode="after")
-    def _in_order(self) -> ProofFile:
-        if self.below > PROVEN * self.pressure:
-            raise ValueError(f'"below" must be at most {PROVEN:g} of "pressure": a small leak proves no vent path')
-        return self
-
-
-class NoWatchdogFile(Strict):
-    """Who accepts that a pressurising device has no watchdog, when and why."""
-
-    accepted_by: Annotated[str, Field(min_length=1, max_length=100)]
-    date: datetime.date
-    reason: Annotated[str, Field(min_length=1, max_length=400)]
-
-
-class HandsFile(Strict):
-    """When hands may go in."""
-
-    below: s.PressureAbove0
-    at_pressure: s.PressureNotBelow0 = 0.0
-    """Highest pressure for protocols that need hands at pressure; 0: none are allowed."""
 
 
 class ReviewFile(Strict):
@@ -197,74 +20,6 @@ class ReviewFile(Strict):
 
     by: s.Text
     date: datetime.date | s.Text
-
-
-PLACED = ("displacement", "angle")
-"""Channels whose zero is at a position that the operator sets by hand."""
-
-
-ZEROED, ZEROED_EACH = ("pressure", "force", *PLACED), ("pressure",)
-"""Channels that may have a zero, and those of them that each of several muscles has."""
-Zeroed = Annotated[str, BeforeValidator(among(ZEROED, ZEROED_EACH)), WithJsonSchema(schema_of(ZEROED, ZEROED_EACH))]
-
-
-class WarmUpFile(Strict):
-    """Cycles between no pressure and `pressure` before the zeros are taken."""
-
-    duration: q.Time = 600.0
-    pressure: s.PressureAbove0
-    period: s.TimeAbove0 = 10.0
-
-
-class ZeroFile(Strict):
-    """The zero of one channel: at most `most` away from where its calibration has it."""
-
-    most: s.Reading
-    at: s.Text = ""
-    """Where a displacement or an angle is zero, in words for the operator."""
-    load: q.Load | None = None
-    """The load that brings the free end there."""
-
-
-class SelfTestFile(Strict):
-    """The start check: pressure goes up in steps of `step` to `pressure`, and every channel is looked at."""
-
-    step: s.PressureAbove0 = 25e3
-    pressure: s.PressureAbove0 | None = None
-    """Highest pressure; the bench's set-up pressure if not given."""
-    settle: s.TimeAbove0 = 3.0
-    """Time at each pressure."""
-    load: q.Load | None = None
-    """Load that is on its support during the check."""
-    noise: dict[s.Name, s.Reading] = {}
-    """Largest rms noise per channel; 0.5 % of the range if not given."""
-    linearity: s.RatioAbove0 = 0.05
-    """Largest deviation of the regulator from a straight line, as a fraction of the highest pressure."""
-    alignment: s.TimeAbove0 = 0.02
-    """Largest delay between force and pressure."""
-    leak: s.RateAbove0 = 5e3 / 60
-    """Largest rate at which the pressure may fall with the isolation valve shut."""
-
-
-class SessionFile(Strict):
-    """Done once before the first run, and again when it has run out."""
-
-    self_test: SelfTestFile | None = None
-    warm_up: WarmUpFile | None = None
-    zeros: dict[Zeroed, ZeroFile] = {}
-    valid: s.TimeAbove0 = 12 * 3600.0
-
-    @model_validator(mode="after")
-    def _references(self) -> SessionFile:
-        for name, zero in self.zeros.items():
-            placed = without_number(name)[0] in PLACED
-            if placed and not zero.at:
-                raise ValueError(f'the zero of the {name} needs "at": where the free end is then, in words')
-            if not placed and (zero.at or zero.load is not None):
-                raise ValueError(
-                    f'"at" and "load" belong to the displacement or the angle; {name} is zeroed without any'
-                )
-        return self
 
 
 class Weights(Strict):
@@ -460,16 +215,16 @@ class BenchFile(Strict):
     devices: dict[s.Name, DeviceFile]
     channels: dict[s.Name, ChannelFile]
     outputs: dict[s.Name, AnyOutput]
-    interlocks: list[InterlockFile] = []
-    limits: dict[Limited, LimitFile]
-    watch: Annotated[list[WatchFile], Field(max_length=100)] = []
-    safe_state: Annotated[list[SafeActionFile], Field(min_length=1, max_length=50)]
-    stop: StopFile | None = None
-    proof: ProofFile | None = None
+    interlocks: list[safety.InterlockFile] = []
+    limits: dict[Limited, safety.LimitFile]
+    watch: Annotated[list[safety.WatchFile], Field(max_length=100)] = []
+    safe_state: Annotated[list[safety.SafeActionFile], Field(min_length=1, max_length=50)]
+    stop: safety.StopFile | None = None
+    proof: safety.ProofFile | None = None
     setup_pressure: s.PressureAbove0 | None = None
     """Highest pressure that may be commanded before the bench is proven."""
-    no_watchdog: NoWatchdogFile | None = None
-    hands: HandsFile
+    no_watchdog: safety.NoWatchdogFile | None = None
+    hands: safety.HandsFile
     slack_below: Annotated[q.Force, s.within(0.0, 100.0, "force")] = 0.0
     session: SessionFile | None = None
     reviewed: ReviewFile | None = None

@@ -297,9 +297,8 @@ class CreepFile(Strict):
     @model_validator(mode="after")
     def _less_than_all(self) -> CreepFile:
         if self.share * len(self.times) > 0.5:
-            raise ValueError(
-                f'"share" of {self.share:.3g} for each of {len(self.times)} times is more than half in all'
-            )
+            each = f"{self.share:.3g} for each of {len(self.times)} times"
+            raise ValueError(f'"share" of {each} is more than half in all')
         return self
 
 

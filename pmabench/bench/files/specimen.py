@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import datetime
 from math import inf
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema, model_validator
 
@@ -182,17 +182,8 @@ class SpecimenFile(Strict):
 
 def any_specimen() -> SpecimenFile:
     """A specimen without limits, to inspect a bench alone; nothing is ever run with it."""
-    limits = SpecimenLimits.model_construct(
-        pressure=SpecimenPressure.model_construct(command=inf, never_above=inf), contraction=inf, source=""
-    )
+    pressure = SpecimenPressure.model_construct(command=inf, never_above=inf)
+    limits = SpecimenLimits.model_construct(pressure=pressure, contraction=inf, source="")
     mounted = MountedFile.model_construct(date=None, length=inf, at="")
-    return SpecimenFile.model_construct(
-        schema_="pmabench.specimen/1",
-        make="",
-        type="",
-        serial="",
-        nominal_length=inf,
-        inner_diameter=inf,
-        mounted=mounted,
-        limits=limits,
-    )
+    unknown: dict[str, Any] = {"make": "", "type": "", "serial": "", "nominal_length": inf, "inner_diameter": inf}
+    return SpecimenFile.model_construct(schema_="pmabench.specimen/1", **unknown, mounted=mounted, limits=limits)

@@ -17,13 +17,14 @@ from pmabench.base.errors import UsageError
 from pmabench.base.quantities import show
 from pmabench.bench.dry_run import PredictedMuscle, of_specimen, plant_text
 from pmabench.bench.files.specimen import SpecimenFile
-from pmabench.bench.lab.questions import DAQS, NONE_YET, UNCERTAINTY, Answers, Daq, Limits, limits_of, quoted
+from pmabench.bench.lab.questions import DAQS, NONE_YET, UNCERTAINTY, Answers, Limits, limits_of, quoted
 from pmabench.bench.lab.reading import GRAVITY, QUANTITY_OF, Scale
 from pmabench.bench.session import Stack
 from pmabench.files.document import Document, read_document, validate
 from pmabench.model.real.muscle import Surface
 from pmabench.store.records import Array
 
+_KEY = re.compile(r"( *)([\w-]+):")
 COLUMN = 60
 """Column where comments begin in shorter lines."""
 SOURCES = {"never_above": "data sheet", "contraction": "data sheet", "sensors": "data sheets", "supply": "as built"}
@@ -33,35 +34,42 @@ SOURCES = {"never_above": "data sheet", "contraction": "data sheet", "sensors": 
 class Sheet:
     """Lines of a YAML file being written."""
 
-    def __init__(self, answers: Answers, schema: str, *head: str) -> None:
+    def __init__(self, answers: Answers, kind: str) -> None:
         self.answers = answers
-        self.lines = [f"# yaml-language-server: $schema={schema}", *(f"# {line}" for line in head)]
-        self.to_confirm: list[str] = []
+        self.lines = [
+            f"# yaml-language-server: $schema=schemas/{kind}.schema.json",
+            "# Written by `pmabench init`; docs/files.md explains the keys.",
+            f"schema: pmabench.{kind}/1",
+        ]
+        self._to_confirm: list[str] = []
+        self._keys: list[str] = []
+        """Path of the last key."""
 
-    def add(self, *lines: str) -> None:
-        """Add lines unchanged."""
-        self.lines += lines
+    def add(self, *lines: str, note: str = "") -> None:
+        """Add lines; `note` becomes a comment."""
+        for line in lines:
+            if key := _KEY.match(line):
+                self._keys[len(key[1]) // 2 :] = [key[2]]
+            noted = f"{line:{COLUMN - 1}} # {note}" if len(line) < COLUMN else f"{line}   # {note}"
+            self.lines.append(noted if note else line)
 
-    def said(self, line: str, key: str, *places: str) -> None:
-        """Add a line with the answer to question `key`; if it was derived, `places` are to be confirmed."""
+    def said(self, line: str, key: str, *parts: str) -> None:
+        """Add a line with the answer to question `key`, to be confirmed if it was derived."""
         if self.answers.said(key):
-            self._noted(line, f"{SOURCES.get(key, 'as said')}, asked {self.answers.asked.isoformat()}")
+            self.add(line, note=f"{SOURCES.get(key, 'as said')}, asked {self.answers.asked.isoformat()}")
         else:
-            self.guessed(line, "proposed by init", *places)
+            self.guessed(line, "proposed by init", *parts)
 
-    def guessed(self, line: str, why: str, *places: str) -> None:
-        """Add a line with a derived value at `places`, which are to be confirmed."""
-        self._noted(line, f"TO CONFIRM: {why}")
-        self.to_confirm += places
-
-    def _noted(self, line: str, note: str) -> None:
-        self.lines.append(f"{line:{COLUMN - 1}} # {note}" if len(line) < COLUMN else f"{line}   # {note}")
+    def guessed(self, line: str, why: str, *parts: str) -> None:
+        """Add a line with a derived value: it, or these parts of it, are to be confirmed."""
+        self.add(line, note=f"TO CONFIRM: {why}")
+        self._to_confirm += [".".join([*self._keys, *part]) for part in zip(parts)] or [".".join(self._keys)]
 
     def text(self) -> str:
         """Text of the file, with the list of what is to be confirmed at its end."""
         lines = [*self.lines, "to_confirm:   # delete an entry when you have looked it up; nothing runs before"]
-        lines += [f"  - {place}" for place in self.to_confirm]
-        if not self.to_confirm:
+        lines += [f"  - {place}" for place in self._to_confirm]
+        if not self._to_confirm:
             lines[-1] = "to_confirm: []"
         return "\n".join(lines) + "\n"
 
@@ -86,44 +94,38 @@ SIMULATED_INPUTS = {"pressure": "Pa", "displacement": "m", "force": "N"}
 
 def bench_text(answers: Answers, calibrations: dict[str, str]) -> str:
     """The bench file; `calibrations`: channel -> id of a calibration file of the lab."""
-    limits = limits_of(answers)
-    simulated = answers.text("daq") == NONE_YET
-    sheet = Sheet(answers, "schemas/bench.schema.json", "Written by `pmabench init`; docs/files.md explains the keys.")
-    end = answers.text("free_end")
+    limits, simulated = limits_of(answers), answers.text("daq") == NONE_YET
+    sheet, end = Sheet(answers, "bench"), answers.text("free_end")
     name = f"{answers.text('make')} {answers.text('type')}, {end}"
-    sheet.add("schema: pmabench.bench/1", f"name: {quoted(name[:200])}")
-    sheet.said(f"free_end: {end}", "free_end", "free_end")
+    sheet.add(f"name: {quoted(name[:200])}")
+    sheet.said(f"free_end: {end}", "free_end")
     sheet.add(f"time: {'virtual' if simulated else 'real'}")
     _end(sheet, answers)
     _air(sheet, answers, limits)
-    sheet.add("devices:")
     if simulated:
-        moved = "actuator" if end == "actuator" else "weights"
-        options = f"{{plant: {PLANT_FILE}, preset: bench, free_end: {moved}, seed: 1}}"
-        sheet.add(f"  {DEVICE}: {{driver: mock, options: {options}}}")
-        _simulated_channels(sheet, limits, actuated=end == "actuator")
+        _simulated(sheet, answers, limits)
     else:
         _device(sheet, answers)
         _channels(sheet, answers, limits, calibrations)
+        _outputs(sheet, answers)
     _limits(sheet, answers, limits)
+    _safety(sheet, answers, limits)
     return sheet.text()
 
 
 def _end(sheet: Sheet, answers: Answers) -> None:
     if answers.text("free_end") == "actuator":
         stroke, speed, force = answers.value("actuator")
-        values = (
-            f"stroke: [0 mm, {show(stroke, 'length')}], speed: {show(speed, 'speed')}, force: {show(force, 'force')}"
-        )
-        sheet.said(f"actuator: {{{values}}}", "actuator", "actuator.stroke", "actuator.speed", "actuator.force")
+        values = f"stroke: {_span(0.0, stroke, 'length')}, speed: {show(speed, 'speed')}, force: {show(force, 'force')}"
+        sheet.said(f"actuator: {{{values}}}", "actuator", "stroke", "speed", "force")
         return
     stack = answers.value("stack")
     plates = ", ".join(f"{count} x {show(mass, 'mass')}" for count, mass in stack.plates)
     sheet.add("weights:")
-    sheet.said(f"  hanger: {show(stack.hanger, 'mass')}", "stack", "weights.hanger")
-    sheet.said(f"  plates: [{plates}]", "stack", "weights.plates")
-    sheet.said(f"  carriage: {show(stack.carriage, 'mass')}", "stack", "weights.carriage")
-    sheet.said(f"  pulley: {str(stack.pulley).lower()}", "stack", "weights.pulley")
+    sheet.said(f"  hanger: {show(stack.hanger, 'mass')}", "stack")
+    sheet.said(f"  plates: [{plates}]", "stack")
+    sheet.said(f"  carriage: {show(stack.carriage, 'mass')}", "stack")
+    sheet.said(f"  pulley: {str(stack.pulley).lower()}", "stack")
 
 
 def _air(sheet: Sheet, answers: Answers, limits: Limits) -> None:
@@ -131,120 +133,126 @@ def _air(sheet: Sheet, answers: Answers, limits: Limits) -> None:
     sheet.add("air:")
     sheet.said(f"  supply: {show(pressure, 'pressure')}", "supply")
     sheet.said(f"  relief_valve: {'none' if relief is None else show(relief, 'pressure')}", "supply")
-    sheet.guessed(f"  overshoot: {show(limits.overshoot, 'pressure')}", "2 % of the regulator", "air.overshoot")
+    sheet.guessed(f"  overshoot: {show(limits.overshoot, 'pressure')}", "2 % of the regulator")
 
 
 def _device(sheet: Sheet, answers: Answers) -> None:
     daq = DAQS[answers.text("daq")]
     address, _, registers = (part.strip() for part in answers.text("address").partition(","))
-    place = f"devices.{DEVICE}"
-    sheet.add(f"  {DEVICE}:", f"    driver: {daq.driver}")
-    sheet.said(f"    address: {quoted(address)}", "address", f"{place}.address")
+    sheet.add("devices:", f"  {DEVICE}:", f"    driver: {daq.driver}")
+    sheet.said(f"    address: {quoted(address)}", "address")
     if registers:
         sheet.said(f"    options: {{map: registers/{registers.rpartition('/')[2]}}}", "address")
     if daq.watchdog:
-        sheet.guessed(f"    watchdog: {daq.watchdog}", "it vents by itself after so long", f"{place}.watchdog")
+        sheet.guessed(f"    watchdog: {daq.watchdog}", "it vents by itself after so long")
 
 
 def _channels(sheet: Sheet, answers: Answers, limits: Limits, calibrations: dict[str, str]) -> None:
-    daq = DAQS[answers.text("daq")]
     inputs = answers.value("inputs")
-    output, scale = answers.value("regulator")
     sheet.add("channels:")
     for channel, quantity in QUANTITY_OF.items():
-        low, high = (show(value, quantity) for value in limits.scales[channel].values)
         sheet.add(f"  {channel}:", f"    device: {DEVICE}")
-        sheet.said(f"    input: {inputs[channel]}", "inputs", f"channels.{channel}.input")
-        sheet.said(f"    range: [{low}, {high}]", "sensors", f"channels.{channel}.range")
+        sheet.said(f"    input: {inputs[channel]}", "inputs")
+        sheet.said(f"    range: {_span(*limits.scales[channel].values, quantity)}", "sensors")
         if channel == "force":
-            sheet.guessed("    at: fixed end", "where the load cell is", "channels.force.at")
+            sheet.guessed("    at: fixed end", "where the load cell is")
         if name := calibrations.get(channel):
             sheet.said(f"    calibration: {name}", "calibration")
         else:
             why = "the data sheet's line, 0.5 % of the range uncertain"
-            sheet.guessed(f"    calibration: {channel}-data-sheet", why, f"channels.{channel}.calibration")
-    low, high = (show(value, "pressure") for value in scale.values)
-    sheet.add("  pressure_command:", f"    device: {DEVICE}", f"    range: [{low}, {high}]")
-    sheet.said(f"    input: {inputs['command']}", "inputs", "channels.pressure_command.input")
-    sheet.add("    calibration: command-looped")
-    if "actuator" in inputs:
-        stroke = show(answers.value("actuator")[0], "length")
-        sheet.add("  displacement_command:", f"    device: {DEVICE}", f"    range: [0 mm, {stroke}]")
-        sheet.said(f"    input: {inputs['actuator']}", "inputs", "channels.displacement_command.input")
-        sheet.add("    calibration: actuator-looped")
-    raw = f"[[{scale.raw[0]}, {low}], [{scale.raw[1]}, {high}]]"
-    sheet.add("outputs:", "  pressure:", f"    device: {DEVICE}", f"    resolution: {daq.resolution}")
-    sheet.said(f"    output: {output}", "regulator", "outputs.pressure.output")
-    sheet.said(f"    scale: {raw}", "regulator", "outputs.pressure.scale")
-    _actuator_output(sheet, answers, daq)
-    _valves(sheet, answers)
+            sheet.guessed(f"    calibration: {channel}-data-sheet", why)
+    for name, (output, quantity, scale) in _commanded(answers).items():
+        if name in inputs:
+            span = _span(*scale.values, quantity)
+            sheet.add(f"  {output}_command:", f"    device: {DEVICE}", f"    range: {span}")
+            sheet.said(f"    input: {inputs[name]}", "inputs")
+            sheet.add(f"    calibration: {name}-looped")
 
 
-def _actuator_output(sheet: Sheet, answers: Answers, daq: Daq) -> None:
-    if answers.text("free_end") != "actuator":
-        return
-    stroke = show(answers.value("actuator")[0], "length")
-    scale = f"[[0 {daq.raw}, 0 mm], [{daq.out_full:g} {daq.raw}, {stroke}]]"
-    sheet.add("  displacement:", f"    device: {DEVICE}", f"    resolution: {daq.resolution}")
-    sheet.guessed(f"    output: {daq.second}", "where the actuator is wired", "outputs.displacement.output")
-    sheet.guessed(f"    scale: {scale}", "the actuator's input", "outputs.displacement.scale")
-
-
-def _valves(sheet: Sheet, answers: Answers) -> None:
+def _outputs(sheet: Sheet, answers: Answers) -> None:
+    daq, said = DAQS[answers.text("daq")], answers.value("regulator")[0]
+    commanded = _commanded(answers)
+    head = (f"    device: {DEVICE}", f"    resolution: {daq.resolution}")
+    sheet.add("outputs:", "  pressure:", *head)
+    sheet.said(f"    output: {said}", "regulator")
+    sheet.said(f"    scale: {_line(*commanded['command'][1:])}", "regulator")
+    if "actuator" in commanded:
+        sheet.add("  displacement:", *head)
+        sheet.guessed(f"    output: {daq.second}", "where the actuator is wired")
+        sheet.guessed(f"    scale: {_line(*commanded['actuator'][1:])}", "the actuator's input")
     if (valve := answers.value("dump_valve")) is not None:
         sheet.said(f"  dump_valve: {{device: {DEVICE}, output: {valve[0]}, energised: {valve[1]}}}", "dump_valve")
     interlock = answers.value("interlock")
     stop = f"[{{name: e-stop, input: {{device: {DEVICE}, input: {interlock}}}, safe: high}}]" if interlock else "[]"
-    sheet.said(f"interlocks: {stop}", "interlock", "interlocks")
+    sheet.said(f"interlocks: {stop}", "interlock")
 
 
-def _simulated_channels(sheet: Sheet, limits: Limits, *, actuated: bool) -> None:
-    top = show(limits.scales["pressure"].values[1], "pressure")
-    sheet.add("channels:")
-    for channel, quantity in QUANTITY_OF.items():
-        low, high = (show(value, quantity) for value in limits.scales[channel].values)
-        unit = SIMULATED_INPUTS[channel]
-        sheet.add(f"  {channel}: {{device: {DEVICE}, input: {channel}, range: [{low}, {high}], unit: {unit}}}")
-    command = f"device: {DEVICE}, input: pressure_set, range: [0 kPa, {top}], unit: Pa"
-    sheet.add(f"  pressure_command: {{{command}}}")
+def _commanded(answers: Answers) -> dict[str, tuple[str, str, Scale]]:
+    """Name of a looped-back command -> name of its output, quantity, and scale."""
+    found = {"command": ("pressure", "pressure", answers.value("regulator")[1])}
+    if answers.text("free_end") == "actuator":
+        daq = DAQS[answers.text("daq")]
+        stroke = Scale((f"0 {daq.raw}", f"{daq.out_full:g} {daq.raw}"), (0.0, answers.value("actuator")[0]))
+        found["actuator"] = "displacement", "length", stroke
+    return found
+
+
+def _span(low: float, high: float, quantity: str) -> str:
+    return f"[{show(low, quantity)}, {show(high, quantity)}]"
+
+
+def _line(quantity: str, scale: Scale) -> str:
+    """The two points of a scale."""
+    low, high = (f"[{raw}, {show(value, quantity)}]" for raw, value in zip(scale.raw, scale.values, strict=True))
+    return f"[{low}, {high}]"
+
+
+def _simulated(sheet: Sheet, answers: Answers, limits: Limits) -> None:
+    """The simulated device, with its channels and outputs: their numbers are those of the plant."""
+    moved, actuated = answers.text("free_end"), answers.text("free_end") == "actuator"
+    options = f"{{plant: {PLANT_FILE}, preset: bench, free_end: {moved}, seed: 1}}"
+    sheet.add("devices:", f"  {DEVICE}: {{driver: mock, options: {options}}}", "channels:")
+    of = f"{{device: {DEVICE}"
+    for name, unit in SIMULATED_INPUTS.items():
+        span = _span(*limits.scales[name].values, QUANTITY_OF[name])
+        sheet.add(f"  {name}: {of}, input: {name}, range: {span}, unit: {unit}}}")
+    top = (0.0, limits.scales["pressure"].values[1])
+    sheet.add(f"  pressure_command: {of}, input: pressure_set, range: {_span(*top, 'pressure')}, unit: Pa}}")
     if actuated:
-        low, high = (show(value, "length") for value in limits.scales["displacement"].values)
-        moved = f"device: {DEVICE}, input: displacement_set, range: [{low}, {high}], unit: m"
-        sheet.add(f"  displacement_command: {{{moved}}}")
-    sheet.add(
-        "outputs:", f"  pressure: {{device: {DEVICE}, output: pressure, scale: [[0 kPa, 0 kPa], [{top}, {top}]]}}"
-    )
-    if actuated:
-        high = show(limits.scales["displacement"].values[1], "length")
-        scale = f"[[0 mm, 0 mm], [{high}, {high}]]"
-        sheet.add(f"  displacement: {{device: {DEVICE}, output: displacement, scale: {scale}}}")
-    sheet.add(f"  dump_valve: {{device: {DEVICE}, output: dump_valve, energised: closed}}")
+        span = _span(*limits.scales["displacement"].values, "length")
+        sheet.add(f"  displacement_command: {of}, input: displacement_set, range: {span}, unit: m}}")
+    sheet.add("outputs:")
+    for name in ("pressure", "displacement") if actuated else ("pressure",):
+        ends = _span(0.0, 0.0, QUANTITY_OF[name]), _span(*(2 * limits.scales[name].values[1:]), QUANTITY_OF[name])
+        sheet.add(f"  {name}: {of}, output: {name}, scale: [{', '.join(ends)}]}}")
+    sheet.add(f"  dump_valve: {of}, output: dump_valve, energised: closed}}")
 
 
 def _limits(sheet: Sheet, answers: Answers, limits: Limits) -> None:
-    pressure = "between command and relief valve or never_above"
     sheet.add("limits:", "  pressure:")
-    sheet.guessed(f"    command: {show(limits.command, 'pressure')}", "88 % of what may be", "limits.pressure.command")
-    sheet.guessed(f"    trip: {show(limits.trip, 'pressure')}", pressure, "limits.pressure.trip")
+    sheet.guessed(f"    command: {show(limits.command, 'pressure')}", "88 % of what may be")
+    sheet.guessed(f"    trip: {show(limits.trip, 'pressure')}", "between command and relief valve or never_above")
     if (low := 0.6 * limits.scales["pressure"].values[0]) < 0:
-        sheet.guessed(f"    trip_low: {show(low, 'pressure')}", "a broken wire", "limits.pressure.trip_low")
-    sheet.add("    delay: 4 ms", "    action: vent")
-    sheet.add("  contraction:")
-    sheet.said(f"    trip: {show(limits.contraction, 'ratio')}", "contraction", "limits.contraction.trip")
+        sheet.guessed(f"    trip_low: {show(low, 'pressure')}", "a broken wire")
+    sheet.add("    delay: 4 ms", "    action: vent", "  contraction:")
+    sheet.said(f"    trip: {show(limits.contraction, 'ratio')}", "contraction")
     sheet.add("    action: vent", "  force:")
-    sheet.guessed(f"    trip: {show(limits.force, 'force')}", "95 % of the sensor's range", "limits.force.trip")
+    sheet.guessed(f"    trip: {show(limits.force, 'force')}", "95 % of the sensor's range")
     sheet.add("    action: vent")
-    if actuated := answers.text("free_end") == "actuator":
+    if answers.text("free_end") == "actuator":
         most = min(answers.value("actuator")[0], 0.9 * limits.contraction * answers.value("mounted")[0])
         sheet.add("  displacement:", "    action: vent")
-        command = f"    command: {show(most, 'length', 3)}"
-        sheet.guessed(command, "90 % of the highest contraction", "limits.displacement.command")
+        sheet.guessed(f"    command: {show(most, 'length', 3)}", "90 % of the highest contraction")
         scale = limits.scales["displacement"]
         if (low := 0.6 * scale.values[0]) < -2 * UNCERTAINTY * scale.span:
-            line = f"    trip_low: {show(low, 'length')}"
-            sheet.guessed(line, "the actuator may stretch the muscle", "limits.displacement.trip_low")
-    if real := answers.text("daq") != NONE_YET:
-        sheet.guessed("watch:", "times of a usual regulator", "watch")
+            sheet.guessed(f"    trip_low: {show(low, 'length')}", "the actuator may stretch the muscle")
+
+
+def _safety(sheet: Sheet, answers: Answers, limits: Limits) -> None:
+    """Watch list, safe state, hands, and proof of the vent path."""
+    real, actuated = answers.text("daq") != NONE_YET, answers.text("free_end") == "actuator"
+    if real:
+        sheet.guessed("watch:", "times of a usual regulator")
         sheet.add(
             "  - {stale: pressure, for: 300 ms, action: vent}",
             "  - {off_range: pressure, for: 40 ms, action: vent}",
@@ -255,17 +263,17 @@ def _limits(sheet: Sheet, answers: Answers, limits: Limits) -> None:
     if real and actuated:
         far = show(max(2e-3, 0.03 * answers.value("actuator")[0]), "length")
         sheet.add(f"  - {{following: displacement, more_than: {far}, for: 500 ms, action: vent}}")
-    sheet.guessed("safe_state:", "done in this order when anything goes wrong", "safe_state")
+    sheet.guessed("safe_state:", "done in this order when anything goes wrong")
     if actuated:
         sheet.add("  - {set: displacement, to: 0 mm, within: 200 ms}")
     sheet.add("  - {set: pressure, to: 0 kPa, within: 200 ms}")
     if not real or answers.value("dump_valve") is not None:
         sheet.add("  - {open: dump_valve, within: 200 ms}")
     sheet.add("  - {confirm: pressure, below: 20 kPa, within: 5 s}")
-    sheet.guessed("hands: {below: 20 kPa}", "under this measured pressure hands may go in", "hands.below")
+    sheet.guessed("hands: {below: 20 kPa}", "under this measured pressure hands may go in", "below")
     if real:
         proof = f"proof: {{pressure: {show(limits.setup, 'pressure')}, below: 20 kPa, within: 2 s}}"
-        sheet.guessed(proof, "the vent path is tried before each use", "proof")
+        sheet.guessed(proof, "the vent path is tried before each use")
 
 
 def calibration_texts(answers: Answers, calibrations: dict[str, str]) -> dict[str, str]:
@@ -273,15 +281,12 @@ def calibration_texts(answers: Answers, calibrations: dict[str, str]) -> dict[st
     if answers.text("daq") == NONE_YET:
         return {}
     found = {}
-    scales = {channel: (QUANTITY_OF[channel], scale) for channel, scale in answers.value("sensors").items()}
-    names = {channel: f"{channel}-data-sheet" for channel in scales if channel not in calibrations}
-    scales["command"], names["command"] = ("pressure", answers.value("regulator")[1]), "command-looped"
-    if answers.text("free_end") == "actuator":
-        daq = DAQS[answers.text("daq")]
-        stroke = Scale((f"0 {daq.raw}", f"{daq.out_full:g} {daq.raw}"), (0.0, answers.value("actuator")[0]))
-        scales["actuator"], names["actuator"] = ("length", stroke), "actuator-looped"
-    for channel, name in names.items():
-        quantity, scale = scales[channel]
+    scales = {
+        **{f"{name}-data-sheet": (QUANTITY_OF[name], scale) for name, scale in answers.value("sensors").items()
+           if name not in calibrations},
+        **{f"{name}-looped": (quantity, scale) for name, (_, quantity, scale) in _commanded(answers).items()},
+    }  # fmt: skip
+    for name, (quantity, scale) in scales.items():
         low, high = (show(value, quantity, 10) for value in scale.values)
         found[f"calibrations/{name}.yaml"] = CALIBRATION.format(
             id=name, quantity=quantity, date=answers.asked.isoformat(), raw=scale.raw, low=low, high=high,
@@ -294,21 +299,18 @@ def specimen_text(answers: Answers) -> str:
     """The specimen file."""
     limits = limits_of(answers)
     length, load = answers.value("mounted")
-    sheet = Sheet(
-        answers, "schemas/specimen.schema.json", "Written by `pmabench init`; docs/files.md explains the keys."
-    )
-    sheet.add("schema: pmabench.specimen/1")
+    sheet = Sheet(answers, "specimen")
     for key in ("make", "type", "serial"):
-        sheet.said(f"{key}: {quoted(answers.text(key))}", key, key)
+        sheet.said(f"{key}: {quoted(answers.text(key))}", key)
     for key in ("nominal_length", "inner_diameter"):
-        sheet.said(f"{key}: {show(answers.value(key), 'length')}", key, key)
+        sheet.said(f"{key}: {show(answers.value(key), 'length')}", key)
     at = f"{{load: {show(load, 'mass')}, pressure: 0 kPa}}"
     line = f"mounted: {{date: {quoted(answers.asked.isoformat())}, length: {show(length, 'length')}, at: {at}}}"
-    sheet.said(line, "mounted", "mounted.length")
+    sheet.said(line, "mounted", "length")
     sheet.add("limits:", "  pressure:")
     sheet.said(f"    never_above: {show(answers.value('never_above'), 'pressure')}", "never_above")
-    sheet.guessed(f"    command: {show(limits.specimen, 'pressure')}", "95 % of never_above", "limits.pressure.command")
-    sheet.said(f"  contraction: {show(limits.contraction, 'ratio')}", "contraction", "limits.contraction")
+    sheet.guessed(f"    command: {show(limits.specimen, 'pressure')}", "95 % of never_above")
+    sheet.said(f"  contraction: {show(limits.contraction, 'ratio')}", "contraction")
     sheet.add(f"  source: {quoted(f'answers to pmabench init, {answers.asked.isoformat()}')}")
     return sheet.text()
 
@@ -433,12 +435,12 @@ def lab_files(answers: Answers, shipped_protocol: str) -> dict[str, str]:
     UsageError
         If a file that an answer names cannot be read.
     """
-    own = _calibrations(answers)
-    specimen = specimen_text(answers)
+    own, specimen = _calibrations(answers), specimen_text(answers)
+    names = {channel: path.stem for channel, path in own.items()}
     files = {
-        "bench.yaml": bench_text(answers, {channel: path.stem for channel, path in own.items()}),
+        "bench.yaml": bench_text(answers, names),
         "specimen.yaml": specimen,
-        **calibration_texts(answers, {channel: path.stem for channel, path in own.items()}),
+        **calibration_texts(answers, names),
         **{f"calibrations/{path.name}": path.read_text(encoding="utf-8") for path in own.values()},
     }
     muscle = validate(SpecimenFile, Document("specimen.yaml", specimen))

@@ -90,9 +90,8 @@ def inputs(value: str) -> dict[str, str]:
     for part in value.split(","):
         word, _, name = part.strip().partition(" ")
         if word not in {*QUANTITY_OF, "command", "actuator"} or not _NAME.fullmatch(name.strip()):
-            raise ValueError(
-                f'"{part.strip()}" is none of pressure, displacement, force, command, actuator with an input'
-            )
+            known = "pressure, displacement, force, command, actuator"
+            raise ValueError(f'"{part.strip()}" is none of {known} with an input')
         found[word] = name.strip()
     if missing := [word for word in (*QUANTITY_OF, "command") if word not in found]:
         raise ValueError(f"{missing[0]} is missing; the command is what the regulator is set to, looped into an input")

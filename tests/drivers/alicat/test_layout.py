@@ -4,7 +4,7 @@ import random
 
 import pytest
 from pmabench_drivers.alicat import from_bits, trouble
-from pmabench_drivers.alicat.ascii_link import read_layout
+from pmabench_drivers.alicat.layout import read_layout
 from pmabench_drivers.shared.serial_port import Unreadable, Wrong
 
 from tests.drivers.alicat.rigs import listing

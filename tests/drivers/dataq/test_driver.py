@@ -138,10 +138,10 @@ def test_silence_is_soon_an_error(bench):
 def test_a_scan_that_a_dead_program_left_is_stopped(bench):
     device, driver, _ = bench
     driver.start(4000.0)
-    driver._port.hush()
+    driver._link.hush()
     time.sleep(0.3)
-    driver._port.close()
-    driver._port = None
+    driver._link.close()
+    driver._link = None
     start = time.monotonic()
     driver.open()
     assert time.monotonic() - start < 2.0

@@ -74,7 +74,7 @@ def _device(peer):
     """A terminal whose line is made and not yet open, and which waits 10 ms for an answer."""
     device = FestoCpxE(replace(terminal(peer.address), address=peer.address), RealClock())
     device._map = replace(device._map, timeout=0.01)
-    device._line = device._new_line()
+    device._link = device._new_line()
     return device
 
 
@@ -107,7 +107,7 @@ def test_no_answer_is_taken_for_what_it_is_not():
             elif name == "feed":
                 took, outcome = heart.timed(device.feed_watchdog)
             else:
-                took, outcome = heart.timed(device._line.identification, monotonic() + 0.1)
+                took, outcome = heart.timed(device._link.identification, monotonic() + 0.1)
             assert took < 0.3
             if isinstance(outcome, Exception):
                 assert isinstance(outcome, DeviceError), f"case {number}: {name}: {answers}"
@@ -139,11 +139,11 @@ def test_an_answer_to_a_question_never_asked_is_none():
 
     with Peer(reply) as peer, closing(_device(peer)) as device:
         for function in [*range(3), *range(4, 256)]:
-            _took, outcome = timed(device._line.read, "holding", 45404, 1, monotonic() + 0.1)
+            _took, outcome = timed(device._link.read, "holding", 45404, 1, monotonic() + 0.1)
             assert isinstance(outcome, DeviceError), f"{function}: {outcome!r}"
-        device._line._timeout = 0.5  # a busy machine needs longer than 10 ms for a sentence to be this one
+        device._link._timeout = 0.5  # a busy machine needs longer than 10 ms for a sentence to be this one
         function, rest = 43, b"\x0e\1\x82\0\0\1\0\5Festo"  # names, where a register was asked for
         with pytest.raises(DeviceError, match="an answer that makes no sense"):
-            device._line.read("holding", 45404, 1, monotonic() + 1.0)
+            device._link.read("holding", 45404, 1, monotonic() + 1.0)
         function, rest = 3, b"\2\1\1"
-        assert device._line.read("holding", 45404, 1, monotonic() + 1.0) == [0x0101]
+        assert device._link.read("holding", 45404, 1, monotonic() + 1.0) == [0x0101]

@@ -39,7 +39,7 @@ def test_no_answer_is_taken_for_what_it_is_not(monkeypatch):
 
     outcomes = {"value": 0, "sentence": 0}
     with Peer(reply) as peer, closing(_device(peer)) as device, Heart() as heart:
-        link = device._line = DriveLink("drive", peer.address)
+        link = device._link = DriveLink("drive", peer.address)
         calls = {
             "look": lambda: link.look(monotonic() + 0.05),
             "time-out": lambda: link.get(t.TIMEOUT, monotonic() + 0.05),
@@ -79,7 +79,7 @@ def test_a_command_is_never_sent_twice_by_one_call(monkeypatch):
         Peer(lambda request: b"" if request[7] == 16 else says_ready(request)) as peer,
         closing(_device(peer)) as device,
     ):
-        device._line = DriveLink("drive", peer.address)
+        device._link = DriveLink("drive", peer.address)
         device._command = t.Command(on=True, task=True)
         assert isinstance(timed(device.write, "position", 123.0)[1], DeviceError)
         sent = [request for request in peer.requests if request[7] == 16]

@@ -205,10 +205,10 @@ def test_a_stream_that_a_dead_program_left_is_quieted(tmp_path):
     record = laser(tmp_path / "laser", rate="4 kHz")
     with rig(record) as (_emulator, driver):
         driver.start(100.0)
-        driver._port.hush()  # as killed: nothing is read, nothing is said
+        driver._link.hush()  # as killed: nothing is read, nothing is said
         time.sleep(0.5)
-        driver._port.close()
-        driver._port = None
+        driver._link.close()
+        driver._link = None
         start = time.monotonic()
         driver.open()
         assert time.monotonic() - start < 2.0

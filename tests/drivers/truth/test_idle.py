@@ -111,7 +111,7 @@ def test_an_emulator_that_nobody_asks_uses_little_and_answers_at_once(tmp_path):
         before = sum(os.times()[:2])
         time.sleep(8.0)
         used = (sum(os.times()[:2]) - before) / 8.0
-        behind = emulator.plant._clock.now() - emulator.plant._mock._opened.time
+        behind = emulator.plant._clock.now() - emulator.plant._mock._link.time
         first = took(emulator.plant.quantities)
         with driver(record) as device:
             assert device.read_back("DAC0") == 0.0

@@ -216,7 +216,7 @@ def test_words_in_the_wrong_order_are_found_when_it_is_opened():
 def test_what_is_no_pressure_is_never_sent(value):
     with Peer(lambda request: b"") as peer:
         device = ModbusDevice(replace(regulator(peer.address), options={"map": plain_map()}), RealClock())
-        device._line = device._new_line()
+        device._link = device._new_line()
         before = len(peer.requests)
         with pytest.raises(DeviceError):
             device.write("pressure", value)

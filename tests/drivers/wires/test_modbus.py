@@ -138,7 +138,7 @@ def test_a_call_gets_its_turn_next_to_a_device_that_does_not_answer_to_polls():
 
     with Peer(reply) as peer:
         device = ModbusDevice(replace(regulator(peer.address), options={"map": {**MAP, "identity": {}}}), RealClock())
-        device._line = device._new_line()
+        device._link = device._new_line()
         device.start(100.0)
         time.sleep(0.15)
         results = [timed(device.write, "pressure", 5.0) for _ in range(10)]

@@ -191,7 +191,7 @@ class Pieces:
 def test_half_of_a_late_answer_is_no_answer(lost):
     """At 9600 baud a line takes 20 ms: asked again in its middle, its other half was taken for the answer."""
     device = SerialIndicator(cell("/dev/none", pattern=r"(?P<value>[+-]?\d+\.\d+)", good_status=[]), RealClock())
-    device._port = port = Pieces([lost, b"+0021.00\r"], [b"", b"+001", b"2.34", b"\r"])
+    device._link = port = Pieces([lost, b"+0021.00\r"], [b"", b"+001", b"2.34", b"\r"])
     asked = []
     for _ in range(4):
         device._tick()
