@@ -84,21 +84,11 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     ]
     if cells and not estimates:
         findings.append(Finding("fault", "no straight part of F(P) at any contraction"))
+    facts = {"options": dict(options), "specimen": given, "tests": sum(len(cell.tests) for cell in cells)}
     return Analysis.of(
-        KIND,
-        runs,
-        results=RESULTS,
-        estimates=estimates,
-        curves=_curves(cells, estimates),
-        dropped=[*dropped, *without],
-        findings=findings,
-        traces=_traces(cells, found.through, given),
-        facts={
-            "options": dict(options),
-            "specimen": given,
-            "tests": sum(len(cell.tests) for cell in cells),
-        },
-    )
+        KIND, runs, results=RESULTS, estimates=estimates, curves=_curves(cells, estimates),
+        dropped=[*dropped, *without], findings=findings, traces=_traces(cells, found.through, given), facts=facts,
+    )  # fmt: skip
 
 
 def _traces(cells: Sequence[Cell], through: Mapping[str, Section], given: Mapping[str, Any]) -> list[Trace]:
