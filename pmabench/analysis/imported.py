@@ -7,17 +7,19 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
-from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, withhold
+from pmabench.store.analyses.results import Analysis, Estimate, Finding, withhold
 from pmabench.store.records import Flag, RunData, TrialData
 
 LEVELS = ("fault", "doubt", "note")
-Measured = TypeVar("Measured")
+UNTOLD = 0.005
+"""Assumed bound of the time between pressure and position [s] where the map gives no `late_by`."""
+UNTOLD_TIME = "nothing is known of the time between the channels"
 NUMBER = re.compile(r"(\d+)")
 
 
@@ -59,28 +61,9 @@ def late_by(run: RunData, channel: str) -> tuple[float, float] | None:
     return None if late is None else (float(late[0]), float(late[1]))
 
 
-def measured(
-    runs: Sequence[RunData],
-    measure: Callable[[RunData, TrialData, tuple[float, float]], Measured | str],
-) -> tuple[list[tuple[RunData, Measured]], list[Dropped], bool]:
-    """Results of `measure` with their runs, the trials that it refused, and whether all runs state their lateness.
-
-    `measure` gets run, trial and lateness of the pressure [s]; it returns a reason as text where it refuses. The last
-    value counts a lateness of pressure or displacement.
-    """
-    found: list[tuple[RunData, Measured]] = []
-    dropped: list[Dropped] = []
-    stated = True
-    for run in runs:
-        late = late_by(run, "pressure")
-        stated = stated and (late is not None or late_by(run, "displacement") is not None)
-        for trial in run.trials:
-            one = measure(run, trial, late or (0.0, 0.0))
-            if isinstance(one, str):
-                dropped.append(Dropped(trial.name, trial.point, one))
-            else:
-                found.append((run, one))
-    return found, dropped, stated
+def apart_is_known(runs: Sequence[RunData]) -> bool:
+    """Whether all runs state how late their pressure is, or their displacement."""
+    return all(late_by(run, "pressure") or late_by(run, "displacement") for run in runs)
 
 
 def import_findings(runs: Sequence[RunData]) -> list[Finding]:

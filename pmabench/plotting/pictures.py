@@ -5,9 +5,9 @@ Helpers that figures share: display units of traces, thinning, data tables. For 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, wraps
 from typing import Any, TypeVar
 
 import numpy as np
@@ -87,6 +87,32 @@ def of_traces(
     """A picture of the `chosen` ones of the traces that are `able`, with their numbers in `columns` (else all)."""
     more = f" {len(chosen)} of {len(able)} are shown." if len(chosen) < len(able) else ""
     return of_charts(rows, title, caption + more, numbers(chosen, columns, titles), simulated=analysis.simulated)
+
+
+Drawn = tuple[Sequence[Sequence[Chart]], str]
+"""Rows of charts, and a caption."""
+
+
+def of_some(
+    title: str, most: int, *needed: str, marks: Sequence[str] = (), columns: Sequence[str] = ()
+) -> Callable[[Callable[[Sequence[Trace]], Drawn]], Callable[[Sequence[Trace], Analysis], list[Picture]]]:
+    """Decorator: one picture of at most `most` traces that have the columns `needed` and the `marks`, if there are any.
+
+    The function draws those that are chosen, evenly. `columns` are those in the table, all if none are named.
+    """
+
+    def of(draw: Callable[[Sequence[Trace]], Drawn]) -> Callable[[Sequence[Trace], Analysis], list[Picture]]:
+        @wraps(draw)
+        def pictures(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
+            able = [t for t in traces if has(t, *needed) and t.marks.keys() >= set(marks)]
+            if not (chosen := spread(able, most)):
+                return []
+            rows, caption = draw(chosen)
+            return [of_traces(rows, title, caption, analysis, chosen, able, columns)]
+
+        return pictures
+
+    return of
 
 
 def drawable(analysis: Analysis) -> Analysis:

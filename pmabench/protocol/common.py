@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from math import inf
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_args
 
 from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema
 
@@ -23,6 +23,9 @@ from pmabench.bench.session import Stack
 from pmabench.files.document import Document, Location, Strict, among, schema_of
 from pmabench.files.quantity import Frequency, Pressure, Ratio, Time
 from pmabench.protocol.plan import Ask, Hold, Plan, Set, Step, TrialRecord
+
+if TYPE_CHECKING:
+    from pmabench.protocol.sweep import Point
 
 Coefficient = Literal["F_ce", "K", "B_c", "B_r", "B", "F_c", "K_u", "T_u"]
 CheckName = Literal["repeat_spread", "first_repeat", "drift", "free_run", "held_out", "other_direction"]
@@ -238,6 +241,17 @@ class Compilation:
         """Check a duration, rate or count that must be above zero."""
         if not value > 0:
             self.fault(location, "must be above zero")
+
+    def positives(self, of: Strict, location: Location, *names: str) -> None:
+        """Check the entries of a section that must be above zero."""
+        for name in names:
+            self.positive(getattr(of, name), (*location, name))
+
+    def swept(self, point: Point, *names: str) -> tuple[float, ...]:
+        """Values of a swept point [SI] that are commanded as they are, each checked against the active limits."""
+        for name in names:
+            self.within(name, point.values[name], point.places[name])
+        return tuple(point.values[name] for name in names)
 
     def inside_hold(self, window: tuple[float, float], hold: float) -> None:
         """Check the evaluated time window of a trial's hold."""

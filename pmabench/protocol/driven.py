@@ -11,7 +11,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from math import ceil, cos, inf, pi, sin, tan
+from itertools import pairwise
+from math import ceil, cos, inf, isclose, pi, sin, tan
+from typing import Any
 
 from pmabench.base.quantities import show
 from pmabench.bench.files.specimen import ExpectedFile
@@ -98,22 +100,54 @@ def bearable(c: Compilation, pressure: float, path: Iterable[tuple[float, float]
         )
 
 
-def arrive(pressure: float, place: float, settle: float, approach: float, back_from: float | None) -> list[Step]:
-    """Steps from `back_from` [m] (None: already there) to 0, to the new pressure, and then to `place` [m]."""
-    back: Sequence[Step] = [] if back_from is None else [Ramp("return", "displacement", back_from, 0.0, approach)]
-    return [
-        *back,
-        Set("pressurise", "pressure", pressure),
-        Hold("pressurise", settle),
-        Ramp("approach", "displacement", 0.0, place, approach),
-        Hold("approach", ARRIVED),
-    ]
+def check_motion(c: Compilation, trial: Any, *names: str) -> None:
+    """Check entries of a trial that must be above zero, its speed of approach, and that cycles are left to evaluate."""
+    c.positives(trial, ("trial",), "approach", *names)
+    not_too_fast(c, trial.approach, ("trial", "approach"), "it approaches")
+    if getattr(trial, "discard", 0) >= getattr(trial, "cycles", inf):
+        c.fault(("trial", "discard"), f"leaves nothing of {trial.cycles} cycles")
+
+
+@dataclass
+class Held:
+    """The driven end in a compilation: the pressure [Pa] and the place [m] at which it is held; None at first."""
+
+    c: Compilation
+    settle: float
+    approach: float
+    at: tuple[float, float] | None = None
+
+    def go(self, pressure: float, place: float) -> None:
+        """Add the steps to a pressure, by way of contraction 0, and to a place; none where it is held there."""
+        if self.at is not None and isclose(self.at[0], pressure, abs_tol=1e-6) and self.at[1] == place:
+            return
+        back = [] if self.at is None else [Ramp("return", "displacement", self.at[1], 0.0, self.approach)]
+        self.c.steps += [
+            *back,
+            Set("pressurise", "pressure", pressure),
+            Hold("pressurise", self.settle),
+            Ramp("approach", "displacement", 0.0, place, self.approach),
+            Hold("approach", ARRIVED),
+        ]
+        self.at = pressure, place
+
+    def leave(self) -> None:
+        """Add the steps back to contraction 0 and to pressure 0."""
+        self.c.steps += leave(0.0 if self.at is None else self.at[1], self.approach)
 
 
 def leave(back_from: float, approach: float) -> list[Step]:
     """Steps back to contraction 0 [m] and to pressure 0."""
     back: Sequence[Step] = [Ramp("return", "displacement", back_from, 0.0, approach)] if approach > 0 else []
     return [*back, Set("vent", "pressure", 0.0), Hold("vent", VENT_HOLD)]
+
+
+def minor_loop(minor: Any, output: str, start: float, rate: float) -> list[Step]:
+    """Ramps at a `rate` [SI/s] through the cycles of a small loop, from `start` [SI] and back; none without a loop."""
+    if minor is None:
+        return []
+    places = [start, *(minor.upper, minor.lower) * minor.cycles, minor.upper, start]
+    return [Ramp("minor", output, begin, end, rate) for begin, end in pairwise(places)]
 
 
 R_AIR, ROOM = 287.0, 293.0

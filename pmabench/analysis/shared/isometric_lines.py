@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pmabench.analysis.shared import student
 from pmabench.analysis.shared.calibration import Scales
-from pmabench.analysis.shared.samples import NotUsable, ends, noise_of
+from pmabench.analysis.shared.samples import NotUsable, ends, noise_of, refuse_incomplete, refuse_missing
 from pmabench.analysis.shared.trials import grouped, mean_over_sessions, measured_trials, session_of
 from pmabench.store.analyses.results import Dropped, Estimate, Parts
 from pmabench.store.records import Array, RunData, TrialData
@@ -123,37 +123,33 @@ def spread(values: Sequence[float] | Array) -> float | None:
 
 
 def tests_of(
-    runs: Sequence[RunData], phases: Sequence[str], lacks: Callable[[Test], str]
+    runs: Sequence[RunData], phases: Sequence[str], check: Callable[[Test], None]
 ) -> tuple[Groups, list[Dropped]]:
-    """Usable tests by contraction, and the other trials; `lacks` returns what a test lacks, or an empty text."""
+    """Usable tests by contraction, and the other trials; `check` raises `NotUsable` for a test that lacks something."""
 
     def usable(run: RunData, trial: TrialData) -> Test:
-        test, reason = as_test(run, trial, phases)
-        if test is None or (reason := lacks(test)):
-            raise NotUsable(reason)
+        test = as_test(run, trial, phases)
+        check(test)
         return test
 
     tests, dropped = measured_trials(runs, usable)
     return grouped(tests, lambda test: round(test.trial.point["contraction"], SAME)), dropped
 
 
-def as_test(run: RunData, trial: TrialData, phases: Sequence[str]) -> tuple[Test | None, str]:
-    """The test of a trial with an empty text, or None with the reason."""
-    missing = [name for name in ("pressure", "force") if name not in trial.channels]
-    if missing:
-        return None, f"{' and '.join(missing)} not recorded"
+def as_test(run: RunData, trial: TrialData, phases: Sequence[str]) -> Test:
+    """The test of a trial; raises `NotUsable`."""
+    refuse_missing(trial, "pressure", "force")
     if "contraction" not in trial.point:
         where = "under `trials` of the map, or as {contraction} in `name_tells`"
-        return None, f"nothing says at which contraction it was held: give `point: {{contraction: 4 mm}}` {where}"
-    if trial.status != "finished":
-        return None, f"the trial is {trial.status}"
+        raise NotUsable(f"nothing says at which contraction it was held: give `point: {{contraction: 4 mm}}` {where}")
+    refuse_incomplete(trial)
     phase = stairs(trial, phases)
     phase = _phase_of(run, trial, phases) if phase is None else phase
     wanted = trial.usable & ((phase >= 0) | (not phases))
     wanted &= np.isfinite(trial.channels["pressure"]) & np.isfinite(trial.channels["force"])
     P, F = trial.channels["pressure"][wanted], trial.channels["force"][wanted]
     x = trial.channels.get("displacement", np.full(len(trial.t), np.nan))[wanted]
-    return Test(run, trial, trial.t[wanted], P, F, x, phase[wanted]), ""
+    return Test(run, trial, trial.t[wanted], P, F, x, phase[wanted])
 
 
 def stairs(trial: TrialData, phases: Sequence[str]) -> Array | None:

@@ -25,6 +25,11 @@ def refuse_incomplete(trial: TrialData, *channels: str) -> None:
     """Raise `NotUsable` for a trial that ended early or lacks one of `channels`."""
     if trial.status != "finished":
         raise NotUsable(f"the trial is {trial.status}")
+    refuse_missing(trial, *channels)
+
+
+def refuse_missing(trial: TrialData, *channels: str) -> None:
+    """Raise `NotUsable` for a trial that lacks one of `channels`."""
     if missing := [name for name in channels if name not in trial.channels]:
         raise NotUsable(f"{' and '.join(missing)} not recorded")
 

@@ -231,6 +231,8 @@ FREE = (SURFACE, STRAIGHT)
 """Terms whose weights may have either sign."""
 ALWAYS = (SURFACE, VISCOUS)
 """Terms that every muscle has; the others are chosen by the data."""
+OVER_X = (STOPS_P, CREEP_P)
+"""Terms whose weights are linear over the range of contraction; those of friction and damping are over pressure."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -275,9 +277,7 @@ class Muscle:
         """Width of the static loop of force over pressure at its centre [N], for a stroke of +- amplitude [Pa]."""
         radii = self.frame.pressure_radii
         reach = np.minimum(radii, np.maximum(amplitude - radii, 0.0)) / radii
-        share = self.frame.x.share(np.array([x]))
-        weights = self.weights.get(STOPS_P)
-        return 0.0 if weights is None else float(2.0 * (between(share, reach[None, :]) @ weights)[0])
+        return float(2.0 * self._weighed(STOPS_P, x, reach[None, :])[0])
 
     def creep_per_decade(self, first: float, last: float) -> float:
         """Contraction by creep per decade between two times [s] after a step, over the step [1]; 0 without creep."""
@@ -286,24 +286,17 @@ class Muscle:
 
     def pressure_creep_per_decade(self, x: float, first: float, last: float) -> float:
         """Force by creep per decade between two times [s] after a step, over the step of pressure [N/Pa]."""
-        weights = self.weights.get(CREEP_P)
-        if weights is None:
-            return 0.0
         risen = _risen(first, last) @ LAW / np.log10(last / first)
-        share = self.frame.x.share(np.array([x]))
-        return float((between(share, risen[None, :]) @ weights)[0]) / max(self.frame.P.span, 1.0)
+        return float(self._weighed(CREEP_P, x, risen[None, :])[0]) / max(self.frame.P.span, 1.0)
 
     def damping(self, P: float) -> tuple[float, float]:
         """Damping while contracting and while expanding at a pressure [Pa], in N.s/m."""
-        share = self.frame.P.share(np.array([P]))
-        contracting, expanding = between(share, np.eye(2)) @ self.weights[VISCOUS]
+        contracting, expanding = self._weighed(VISCOUS, P, np.eye(2))
         return float(contracting), float(expanding)
 
     def friction(self, P: float) -> float:
         """Friction that reverses at once [N], at a pressure [Pa]; 0 without that term."""
-        weights = self.weights.get(SLIDING)
-        share = self.frame.P.share(np.array([P]))
-        return 0.0 if weights is None else float((between(share, np.ones((1, 1))) @ weights)[0])
+        return float(self._weighed(SLIDING, P, np.ones((1, 1)))[0])
 
     def straight_form(self) -> dict[str, list[float]]:
         """Pressures [Pa] and F_ce [N], K [N/m], B_c, B_r [N.s/m] and F_c [N] there; only for the straight form."""
@@ -337,12 +330,13 @@ class Muscle:
 
     def _stops_x(self, P: float) -> Array:
         """Weight of each stop on contraction at a pressure [N], shape (stops,)."""
-        share = self.frame.P.share(np.array([P]))
-        found = np.zeros(len(self.frame.radii))
-        found[0] = self.friction(P)
-        if STOPS_X in self.weights:
-            found[1:] = between(share, np.eye(len(found) - 1)) @ self.weights[STOPS_X]
-        return found
+        return np.array([self.friction(P), *self._weighed(STOPS_X, P, np.eye(len(WIDTHS_X)))])
+
+    def _weighed(self, term: str, at: float, columns: Array) -> Array:
+        """Columns (n, m) of a term times its weights at a pressure [Pa] or contraction [m], (n,); 0 without it."""
+        axis = self.frame.x if term in OVER_X else self.frame.P
+        weights = self.weights.get(term)
+        return np.zeros(len(columns)) if weights is None else between(axis.share(np.array([at])), columns) @ weights
 
 
 def _risen(first: float, last: float) -> Array:
@@ -360,22 +354,20 @@ def columns_of(term: str, frame: Frame, record: Rows, past: Memory, stiffness: S
     All weights but those of the surface are at least 0: friction and damping dissipate, and creep yields. Those of
     hysteresis and damping are linear over the range of pressure or contraction.
     """
-    over_P, over_x = frame.P.share(record.P), frame.x.share(record.x)
     if term == SURFACE:
         return frame.surface(record.P, record.x)
     if term == STRAIGHT:
         return frame.straight(record.P, record.x)
-    if term == VISCOUS:
-        both = np.column_stack([np.maximum(record.v, 0.0), np.minimum(record.v, 0.0)])
-        return between(over_P, -both)
-    if term == SLIDING:
-        return between(over_P, -past.stops_x[:, :1])
-    if term == STOPS_X:
-        return between(over_P, -past.stops_x[:, 1:])
-    if term == STOPS_P:
-        return between(over_x, -past.stops_P)
     if term == CREEP_X:
         return np.asarray(np.maximum(stiffness(record.P, record.x), 0.0)[:, None] * (past.lag_x @ LAW))
-    if term == CREEP_P:
-        return between(over_x, past.lag_P @ LAW / max(frame.P.span, 1.0))
-    raise ValueError(f'unknown term "{term}"; known are {", ".join(TERMS)}')
+    if term not in TERMS:
+        raise ValueError(f'unknown term "{term}"; known are {", ".join(TERMS)}')
+    columns = {
+        VISCOUS: -np.column_stack([np.maximum(record.v, 0.0), np.minimum(record.v, 0.0)]),
+        SLIDING: -past.stops_x[:, :1],
+        STOPS_X: -past.stops_x[:, 1:],
+        STOPS_P: -past.stops_P,
+        CREEP_P: past.lag_P @ LAW / max(frame.P.span, 1.0),
+    }
+    share = frame.x.share(record.x) if term in OVER_X else frame.P.share(record.P)
+    return between(share, columns[term])

@@ -81,8 +81,19 @@ class Timed:
     _t = 0.0
     _samples = _clipped = 0
 
+    def _step(self, t: float) -> tuple[float, float]:
+        """Note the time `t` of a sample [s]; the times since the one before and since the first [s]."""
+        if self._first is None:
+            self._first = self._t = t
+        before, self._t = self._t, t
+        return t - before, t - self._first
+
     def _end(self, why: str) -> None:
         self.done, self._ended = True, why
+
+    def _search(self, found: bool, reason: str, **data: float) -> dict[str, Any]:
+        """`ended`, `found` and `data` for the result of a search, and the reason where there is one."""
+        return {"ended": self._ended, "found": found, **data} | ({"reason": reason} if reason else {})
 
     def _how_it_went(self, lost: str) -> dict[str, Any]:
         """Times `t0`, `t1` [s], `saturated` (share of clipped samples), and `ended`, for the result.

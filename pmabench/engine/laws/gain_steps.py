@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from math import isfinite
 from typing import Any
 
-from pmabench.engine.laws import outside_range, refuse_wrong
+from pmabench.engine.laws import Timed, outside_range, refuse_wrong
 
 LARGEST_FACTOR = 1.08
 SKIPPED = 2
@@ -49,7 +49,7 @@ class _Swings:
 
 
 @dataclass(kw_only=True, eq=False)
-class GainSteps:
+class GainSteps(Timed):
     """Proportional control u = bias + K_p (aim - y) with K_p raised in steps (Ziegler and Nichols 1942).
 
     First the loop settles at the starting gain while the bias is trimmed to the set-point. Then come the levels: at
@@ -106,12 +106,8 @@ class GainSteps:
         )
         self.threshold = max(SEEN * self.noise, 1e-3 * kick)
         self.gain = self.start
-        self.done = False
-        self._ended = "limit"
         self._aim = self.setpoint - kick / 2
         self._command = bias
-        self._first: float | None = None
-        self._last = 0.0
         self._levels: list[dict[str, float]] = []
         self._swings = _Swings(self.threshold)
         self._grown = 0
@@ -122,18 +118,16 @@ class GainSteps:
             return self._command
         y = values.get(self.channel)
         if y is None or not isfinite(y):
-            return self._end("no signal", self.bias)
-        if self._first is None:
-            self._first = self._last = t
-        step, self._last = t - self._last, t
+            return self._stop("no signal", self.bias)
+        step, since = self._step(t)
         if self._levels:
             if abs(y - self.setpoint) > self.window:
-                return self._end("amplitude", self.bias)
+                return self._stop("amplitude", self.bias)
             self._swings.add(y)
             enough = len(self._swings.sizes) >= self.half_periods
             if enough or t - self._levels[-1]["t0"] >= self.level_time:
                 self._next(t)
-        elif t - self._first < self.settle:
+        elif since < self.settle:
             if self.trim > 0:
                 trimmed = self.bias + self.gain * (self._aim - y) * step / self.trim
                 self.bias = min(max(trimmed, self.low), self.high)
@@ -145,7 +139,7 @@ class GainSteps:
         if not self.low <= command <= self.high:
             command = min(max(command, self.low), self.high)
             if self._levels:
-                return self._end("saturated", command)
+                return self._stop("saturated", command)
         self._command = command
         return command
 
@@ -162,7 +156,7 @@ class GainSteps:
     def _close(self) -> None:
         """Note the end of the current level."""
         if self._levels:
-            self._levels[-1].update(t1=self._last, half_periods=len(self._swings.sizes))
+            self._levels[-1].update(t1=self._t, half_periods=len(self._swings.sizes))
 
     def _next(self, t: float) -> None:
         """Close the level, judge its growth, and open the next one or end."""
@@ -171,17 +165,18 @@ class GainSteps:
         if len(sizes) >= self.half_periods - SKIPPED and sizes[-1] >= sizes[0]:
             self._grown += 1
         if self._grown >= self.beyond:
-            self._end("growth", self.bias)
+            self._stop("growth", self.bias)
         elif len(self._levels) >= self.levels:
-            self._end("levels", self.bias)
+            self._stop("levels", self.bias)
         else:
             self.gain *= self.factor
             self._begin(t)
 
-    def _end(self, why: str, command: float) -> float:
+    def _stop(self, why: str, command: float) -> float:
         """Stop, and hold `command` from now on."""
         self._close()
-        self.done, self._ended, self._command = True, why, min(max(command, self.low), self.high)
+        self._end(why)
+        self._command = min(max(command, self.low), self.high)
         return self._command
 
     def result(self) -> dict[str, Any]:
@@ -194,17 +189,8 @@ class GainSteps:
         `low` and `high` [Pa] are the range of the command.
         """
         self._close()
-        found = self._ended in FOUND
-        data: dict[str, Any] = {
-            "levels": [dict(level) for level in self._levels],
-            "ended": self._ended,
-            "found": found,
-            "setpoint": self.setpoint,
-            "bias": self.bias,
-            "low": self.low,
-            "high": self.high,
-            "command": self._command,
-        }
-        if self.done and not found:
-            data["reason"] = REASONS[self._ended]
-        return data
+        went = self._search(
+            self._ended in FOUND, REASONS.get(self._ended, ""),
+            setpoint=self.setpoint, bias=self.bias, low=self.low, high=self.high, command=self._command,
+        )  # fmt: skip
+        return {"levels": [dict(level) for level in self._levels], **went}

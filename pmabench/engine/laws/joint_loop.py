@@ -64,10 +64,8 @@ class JointLoop(Timed):
             self._end("no signal")
             return Orders()
         if self._first is None:
-            self._first = self._t = t
             self._lagged = self._reference = angle
-        h, self._t = t - self._t, t
-        since = t - self._first
+        h, since = self._step(t)
         keep = math.exp(-h / self.reference_lag) if self.reference_lag > 0 else 0.0
         goal = next((at for begin, at in reversed(self._goals) if since >= begin - 1e-9), angle)
         self._lagged = goal + (self._lagged - goal) * keep

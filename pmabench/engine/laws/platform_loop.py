@@ -92,22 +92,21 @@ class PlatformLoop(Timed):
             self._end("no signal")
             return Orders()
         if self._first is None:
-            self._first = self._t = t
             self._next = t + self.period + APART  # a pulse of an earlier loop may still last as long
-        h, self._t = t - self._t, t
-        reference, attitude = self._follow(h, t - self._first, values)
+        h, since = self._step(t)
+        reference, attitude = self._follow(h, since, values)
         error = (reference[0] - attitude[0], reference[1] - attitude[1])
         self._integral = (
             self._clamped(self._integral[0] + self.K_i * h * error[0]),
             self._clamped(self._integral[1] + self.K_i * h * error[1]),
         )
-        if t - self._first >= self.duration:
+        if since >= self.duration:
             self._end("time")
             return Orders()
         if t < self._next - 1e-9:
             return Orders()
         self._next += self.period
-        goal = self._goal(t - self._first) or reference
+        goal = self._goal(since) or reference
         moment = self.K_p * error[0] + self._integral[0], self.K_p * error[1] + self._integral[1]
         return self._orders(t, goal, reference if self.chain == "reference" else attitude, moment, values)
 

@@ -76,16 +76,13 @@ class PositionLoop(Timed):
         if measured is None or not isfinite(measured):
             self._end("no signal")
             return controller.output
-        if self._first is None:
-            self._first = self._t = t
-        h, self._t = t - self._t, t
-        since = t - self._first
+        h, since = self._step(t)
         setpoint = self.setpoint if self.path is None else self.path.place(since)
         self._error = setpoint - measured
         command = controller.update(h, setpoint, measured, self._ahead_at(since))
         self._samples += 1
         self._clipped += controller.saturated
-        if t - self._first >= self.duration:
+        if since >= self.duration:
             self._end("time")
         return command
 

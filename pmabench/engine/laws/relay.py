@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from math import inf, isfinite
 from typing import Any, ClassVar
 
-from pmabench.engine.laws import refuse_wrong
+from pmabench.engine.laws import Timed, refuse_wrong
 
 FOUND = "levels"
 REASONS = {
@@ -25,7 +25,7 @@ REASONS = {
 
 
 @dataclass(kw_only=True, eq=False)
-class Relay:
+class Relay(Timed):
     """Relay with hysteresis about the position at which the bias holds the muscle (Astrom and Hagglund 1984).
 
     First the command stays at the bias until the muscle rests; the mean over the second half of that time is the
@@ -82,11 +82,7 @@ class Relay:
         )
         self._watched = {name: (float(ends[0]), float(ends[1])) for name, ends in (self.watched or {}).items()}
         self.centre = self.setpoint
-        self.done = False
-        self._ended = "limit"
         self._command = bias
-        self._first: float | None = None
-        self._last = 0.0
         self._sum, self._count = 0.0, 0
         self._levels: list[dict[str, Any]] = []
         self._up = True
@@ -97,19 +93,16 @@ class Relay:
             return self._command
         y = values.get(self.channel, inf)
         if not isfinite(y) or any(not isfinite(values.get(name, inf)) for name in self._watched):
-            return self._end("no signal")
-        if self._first is None:
-            self._first = t
-        self._last = t
+            return self._stop("no signal")
+        _, since = self._step(t)
         if abs(y - self.setpoint) > self.window:
-            return self._end("window")
+            return self._stop("window")
         for name, (low, high) in self._watched.items():
             if not low <= values[name] <= high:
-                return self._end(name)
+                return self._stop(name)
         if not self._levels:
-            waited = t - self._first
-            if waited < self.settle:
-                if waited >= self.settle / 2:
+            if since < self.settle:
+                if since >= self.settle / 2:
                     self._sum, self._count = self._sum + y, self._count + 1
                 return self._command
             self.centre = self._sum / self._count if self._count else y
@@ -138,19 +131,20 @@ class Relay:
             if self._up and len(level["switches"]) > 2 * self.periods:
                 level["t1"] = t
                 if len(self._levels) == len(self.amplitudes):
-                    self._end(FOUND)
+                    self._stop(FOUND)
                 else:
                     self._open(t)
                 return
             self._set(t)
         elif t - level["t0"] > self.level_time:
-            self._end("slow")
+            self._stop("slow")
 
-    def _end(self, why: str) -> float:
+    def _stop(self, why: str) -> float:
         """Stop, and hold the bias from now on."""
         if self._levels and why != FOUND:
-            self._levels[-1]["t1"] = self._last
-        self.done, self._ended, self._command = True, why, self.bias
+            self._levels[-1]["t1"] = self._t
+        self._end(why)
+        self._command = self.bias
         return self._command
 
     def result(self) -> dict[str, Any]:
@@ -160,17 +154,9 @@ class Relay:
         window; `centre` [m] is what the relay switched about.
         """
         found = self._ended == FOUND
-        data: dict[str, Any] = {
-            "relay": [dict(level) for level in self._levels],
-            "ended": self._ended,
-            "found": found,
-            "setpoint": self.setpoint,
-            "centre": self.centre,
-            "bias": self.bias,
-            "low": self.low,
-            "high": self.high,
-            "command": self._command,
-        }
-        if not found:
-            data["reason"] = REASONS.get(self._ended, f"{self._ended} left its window")
-        return data
+        went = self._search(
+            found, "" if found else REASONS.get(self._ended, f"{self._ended} left its window"),
+            setpoint=self.setpoint, centre=self.centre, bias=self.bias, low=self.low, high=self.high,
+            command=self._command,
+        )  # fmt: skip
+        return {"relay": [dict(level) for level in self._levels], **went}

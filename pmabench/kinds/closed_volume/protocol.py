@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import isclose, pi
+from math import pi
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
@@ -11,7 +11,7 @@ from pmabench.base.quantities import show
 from pmabench.files.document import Strict
 from pmabench.files.quantity import Length, Pressure, Speed, Time, Volume
 from pmabench.protocol.common import Compilation, ProtocolHead
-from pmabench.protocol.driven import Tube, arrive, leave, not_too_fast
+from pmabench.protocol.driven import Held, Tube, not_too_fast
 from pmabench.protocol.plan import Hold, Plan, Record, Seek
 from pmabench.protocol.sweep import Point, PressureAxis, Sweep, expand
 
@@ -124,20 +124,16 @@ class ClosedVolume(ProtocolHead):
         valve = self._valve(c)
         volume, half = self._reference(c)
         room, room_half = self._room(c)
-        at: float | None = None
+        held = Held(c, trial.settle, trial.approach)
         for point in expand(self.sweep, c.document):
-            pressure = point.values["pressure"]
-            c.within("pressure", pressure, point.places["pressure"])
+            (pressure,) = c.swept(point, "pressure")
             c.positive(pressure, point.places["pressure"])
             if not good or not valve or pressure <= 0 or c.too_long():
                 continue
             self._stays_above(c, point, volume, room)
             values = {"pressure": pressure, "lower": trial.start, "upper": trial.to, "speed": trial.speed}
             index = c.add_trial(values, point.repeat)
-            if at is None or not isclose(at, pressure):
-                came_from = None if at is None else trial.start
-                c.steps += arrive(pressure, trial.start, trial.settle, trial.approach, came_from)
-                at = pressure
+            held.go(pressure, trial.start)
             stroke = (trial.to - trial.start) / trial.speed + trial.rest
             parameters = {"valve": valve, "start": trial.start, "to": trial.to, "rate": trial.speed,
                           "rest": trial.rest, "cycles": trial.cycles}  # fmt: skip
@@ -149,7 +145,7 @@ class ClosedVolume(ProtocolHead):
                 Hold("open again", trial.rest),
                 Record("open again", False, index),
             ]  # fmt: skip
-        c.steps += leave(trial.start, trial.approach)
+        held.leave()
         given = {"reference_volume": volume, "reference_half": half, "dead_volume": trial.dead.volume}
         given |= {"dead_half": trial.dead.uncertainty, "atmosphere": room, "atmosphere_half": room_half}
         given |= {name: getattr(trial, name) for name in ("exponent", "every", "rest")}
@@ -160,8 +156,7 @@ class ClosedVolume(ProtocolHead):
         """Check the strokes by themselves."""
         trial = self.trial
         before = len(c.problems)
-        for name in ("speed", "rest", "settle", "approach", "every"):
-            c.positive(getattr(trial, name), ("trial", name))
+        c.positives(trial, ("trial",), "speed", "rest", "settle", "approach", "every")
         for name in ("start", "to"):
             c.within("displacement", getattr(trial, name), ("trial", name))
         for name in ("speed", "approach"):

@@ -5,8 +5,6 @@ Paper 3, tests at fixed pressure and traction at 0 bar gauge.
 
 from __future__ import annotations
 
-from itertools import pairwise
-from math import isclose
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
@@ -14,8 +12,8 @@ from pydantic import Field
 from pmabench.files.document import Location, Strict
 from pmabench.files.quantity import Length, Speed, Time
 from pmabench.protocol.common import OF_TRIALS, Compilation, ProtocolHead
-from pmabench.protocol.driven import arrive, bearable, leave, not_too_fast
-from pmabench.protocol.plan import Hold, Plan, Ramp, Record, Step, TrialRecord
+from pmabench.protocol.driven import Held, bearable, check_motion, minor_loop, not_too_fast
+from pmabench.protocol.plan import Hold, Plan, Ramp, Record, Step
 from pmabench.protocol.sweep import LengthAxis, Point, PressureAxis, SpeedAxis, Sweep, expand
 
 BELOW_0 = "without pressure the muscle pulls only where it is stretched: it must end at 0 mm or below"
@@ -72,16 +70,11 @@ class IsobaricRamp(ProtocolHead):
     def compile(self, c: Compilation) -> Plan:
         """The plan: per pressure, pressurise and move to the lower end; then one recorded loop per speed."""
         trial = self.trial
-        for name in ("turn", "settle", "approach"):
-            c.positive(getattr(trial, name), ("trial", name))
-        not_too_fast(c, trial.approach, ("trial", "approach"), "it approaches")
-        if trial.discard >= trial.cycles:
-            c.fault(("trial", "discard"), f"leaves nothing of {trial.cycles} cycles")
-        at: tuple[float, float] | None = None
-        for index, point in enumerate(expand(self.sweep, c.document)):
-            pressure, speed = point.values["pressure"], point.values["speed"]
+        check_motion(c, trial, "turn", "settle")
+        held = Held(c, trial.settle, trial.approach)
+        for point in expand(self.sweep, c.document):
+            (pressure,), speed = c.swept(point, "pressure"), point.values["speed"]
             ends = self._ends(c, point)
-            c.within("pressure", pressure, point.places["pressure"])
             c.positive(speed, point.places["speed"])
             if ends is None or speed <= 0 or trial.approach <= 0 or c.too_long():
                 continue
@@ -90,21 +83,17 @@ class IsobaricRamp(ProtocolHead):
             if pressure > 0:
                 path = [(x, v) for x in ends for v in (speed, -speed)]
                 bearable(c, pressure, path, point.places["pressure"], "the upper end of the stroke")
-            if index == 0:
-                c.precondition()
-            if at is None or not isclose(at[0], pressure, abs_tol=1e-6) or at[1] != lower:
-                c.steps += arrive(pressure, lower, trial.settle, trial.approach, None if at is None else at[1])
-                at = (pressure, lower)
             values = {"pressure": pressure, "speed": speed, "lower": lower, "upper": upper}
-            c.trials.append(TrialRecord(index, {**values, "cycles": float(trial.cycles)}, point.repeat))
+            index = c.add_trial({**values, "cycles": float(trial.cycles)}, point.repeat)
+            held.go(pressure, lower)
             c.steps += [
                 Record("contract", True, index),
                 *self._cycle(lower, upper, speed) * trial.cycles,
-                *self._minor(lower, speed),
+                *minor_loop(trial.minor, "displacement", lower, speed),
                 Record("expand", False, index),
                 Hold("rest", 1.0),
             ]
-        c.steps += leave(at[1] if at is not None else 0.0, trial.approach)
+        held.leave()
         return c.plan("isobaric-ramp", {"discard": trial.discard, "turn": trial.turn})
 
     def _cycle(self, lower: float, upper: float, speed: float) -> list[Step]:
@@ -113,13 +102,6 @@ class IsobaricRamp(ProtocolHead):
             steps.append(Ramp(phase, "displacement", begin, end, speed))
             steps += [Hold(phase, self.trial.dwell)] if self.trial.dwell > 0 else []
         return steps
-
-    def _minor(self, lower: float, speed: float) -> list[Step]:
-        minor = self.trial.minor
-        if minor is None:
-            return []
-        places = [lower, *(minor.upper, minor.lower) * minor.cycles, minor.upper, lower]
-        return [Ramp("minor", "displacement", begin, end, speed) for begin, end in pairwise(places)]
 
     def _ends(self, c: Compilation, point: Point) -> tuple[float, float] | None:
         """Both ends of the stroke [m], checked; None if one is missing."""

@@ -30,8 +30,8 @@ from pmabench.analysis.shared.isometric_lines import (
     line_of,
     pool,
 )
-from pmabench.analysis.shared.samples import lag_open, noise_of, on_time_run
-from pmabench.analysis.shared.trials import ONE_SESSION, session_of, thinned
+from pmabench.analysis.shared.samples import NotUsable, lag_open, noise_of, on_time_run
+from pmabench.analysis.shared.trials import ONE_SESSION, measured_trials, session_of, thinned
 from pmabench.analysis.verdict.agreement import SAME, Offer, Place, between
 from pmabench.base.quantities import show
 from pmabench.kinds.isometric import RESULTS
@@ -232,7 +232,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     rule, findings = rule_of(runs, options or {})
     phases = [str(name) for name in rule.get("phases") or ()]
     above = float(rule.get("force_above") or 0.0) or _above_slack(runs, phases)
-    groups, dropped = isometric_lines.tests_of(runs, phases, lambda test: _lack(test, above))
+    groups, dropped = isometric_lines.tests_of(runs, phases, lambda test: _refuse(test, above))
     asked = [float(x) for x in rule.get("also_at") or () if float(x) != above]
     sessions = {session_of(test.run) for tests in groups.values() for test in tests}
     estimates: list[Estimate] = []
@@ -284,15 +284,13 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
 
 def _above_slack(runs: Sequence[RunData], phases: Sequence[str]) -> float:
     """Force [N] above the reading of a slack muscle: reading at the lowest pressures, if small, plus its noise."""
+    tests, _ = measured_trials(runs, lambda run, trial: isometric_lines.as_test(run, trial, phases))
     found = [0.0]
-    for run in runs:
-        for trial in run.trials:
-            test, _ = isometric_lines.as_test(run, trial, phases)
-            if test is not None and len(test.F) >= FEWEST:
-                least = test.P <= test.P.min() + AT_REST * np.ptp(test.P)
-                level = max(float(np.median(part)) for part in np.array_split(test.F[least], 2) if len(part))
-                slack = level if 0 < level < AT_REST * float(test.F.max()) else 0.0
-                found.append(slack + NOISE * noise_of(test.F))
+    for test in (one for one in tests if len(one.F) >= FEWEST):
+        least = test.P <= test.P.min() + AT_REST * np.ptp(test.P)
+        level = max(float(np.median(part)) for part in np.array_split(test.F[least], 2) if len(part))
+        slack = level if 0 < level < AT_REST * float(test.F.max()) else 0.0
+        found.append(slack + NOISE * noise_of(test.F))
     return max(found)
 
 
@@ -318,14 +316,13 @@ def _facts(contraction: float, tests: Sequence[Test], fits: Mapping[float, Poole
     }
 
 
-def _lack(test: Test, above: float) -> str:
-    """Why a test has too few samples above the threshold; empty where it has enough."""
+def _refuse(test: Test, above: float) -> None:
+    """Raise `NotUsable` for a test that has too few samples above the threshold."""
     used = test.above(above)
     count = int(np.count_nonzero(used))
-    if count >= FEWEST and np.ptp(test.P[used]) > 0:
-        return ""
-    flagged = unusable_because(test.trial)
-    return f"{count} usable samples above {show(above, 'force')} (flagged: {flagged}), {FEWEST} are needed"
+    if count < FEWEST or np.ptp(test.P[used]) <= 0:
+        seen = f"{count} usable samples above {show(above, 'force')} (flagged: {unusable_because(test.trial)})"
+        raise NotUsable(f"{seen}, {FEWEST} are needed")
 
 
 def _where(contraction: float) -> str:

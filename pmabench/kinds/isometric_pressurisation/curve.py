@@ -169,9 +169,9 @@ def straight_from(mean: Mean) -> tuple[float | None, float]:
 
 
 def largest_force(run: RunData, trial: TrialData) -> float | None:
-    """Largest force of a muscle held at one length [N]; None where nothing is usable."""
-    test, _ = isometric_lines.as_test(run, trial, PHASES)
-    return float(test.F.max()) if test is not None and len(test.F) else None
+    """Largest force of a muscle held at one length [N]; None where no sample is usable; raises `NotUsable`."""
+    test = isometric_lines.as_test(run, trial, PHASES)
+    return float(test.F.max()) if len(test.F) else None
 
 
 @dataclass(frozen=True, eq=False)

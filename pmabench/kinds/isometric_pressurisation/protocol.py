@@ -5,7 +5,6 @@ Paper 3's fixed-position test gives S(eps) and the rubber's force, papers 2 and 
 
 from __future__ import annotations
 
-from itertools import pairwise
 from math import inf
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, TypeAlias
 
@@ -15,7 +14,7 @@ from pmabench.base.quantities import show
 from pmabench.files.document import Location, Strict
 from pmabench.files.quantity import Length, Pressure, PressureRate, Speed, Temperature, Time, Volume, parse_quantity
 from pmabench.protocol.common import OF_TRIALS, Compilation, ProtocolHead
-from pmabench.protocol.driven import VENT_HOLD, not_too_fast, predicted_force
+from pmabench.protocol.driven import VENT_HOLD, minor_loop, not_too_fast, predicted_force
 from pmabench.protocol.plan import Hold, Plan, Ramp, Record, Set, Step
 from pmabench.protocol.sweep import Point, Sweep, expand
 
@@ -226,14 +225,6 @@ class IsometricPressurisation(ProtocolHead):
             c.fault(where, f"{text}(take a larger contraction, or a lower pressurise.stop)")
 
 
-def _minor(ramp: Pressurise) -> list[Step]:
-    minor = ramp.minor
-    if minor is None:
-        return []
-    levels = [ramp.start, *(minor.upper, minor.lower) * minor.cycles, minor.upper, ramp.start]
-    return [Ramp("minor", "pressure", begin, end, ramp.rate) for begin, end in pairwise(levels)]
-
-
 def _steps(of: IsometricTrial, x: float, side: int, index: int) -> list[Step]:
     """One trial: from the nominal length to x [m], from `side`; one slow ramp up and down; and back.
 
@@ -258,7 +249,7 @@ def _steps(of: IsometricTrial, x: float, side: int, index: int) -> list[Step]:
         Hold("top", ramp.hold),
         Ramp("empty", "pressure", ramp.stop, ramp.start, ramp.rate),
         Hold("end", REST + zero),
-        *_minor(ramp),
+        *minor_loop(ramp.minor, "pressure", ramp.start, ramp.rate),
         *([Ramp("return", "pressure", ramp.start, move.pressure, ramp.rate)] if apart else []),
         *([Ramp("return", "displacement", x, 0.0, move.speed)] if abs(x) > 1e-9 else []),
         Record("return", False, index),

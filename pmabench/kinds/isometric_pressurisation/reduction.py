@@ -17,7 +17,7 @@ from pmabench.analysis.shared import isometric_lines, skew
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.form import MOST_HIDDEN, Doubt, weighed
 from pmabench.analysis.shared.isometric_lines import METHOD, Groups, Test, as_test, by_repeat
-from pmabench.analysis.shared.samples import noise_of, on_time_run
+from pmabench.analysis.shared.samples import NotUsable, noise_of, on_time_run
 from pmabench.analysis.shared.trials import mean_of_trials
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.analysis.verdict.agreement import Offer, Place, at_pressures, everywhere, exactly, straight, values_of
@@ -63,7 +63,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     `options`: `nominal_length`, `inner_diameter` [m]; else those of the specimen.
     """
     options, runs = options or {}, [on_time_run(run, *CHANNELS) for run in runs]
-    groups, dropped = isometric_lines.tests_of(runs, PHASES, lack)
+    groups, dropped = isometric_lines.tests_of(runs, PHASES, refuse)
     scales = Scales.of(runs)
     groups, opened, zeros = form.zeroed(groups, scales)
     given = {**sections.given_of(runs[0].manifest.get("specimen") if runs else None), **options}
@@ -84,21 +84,11 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     ]
     if cells and not estimates:
         findings.append(Finding("fault", "no straight part of F(P) at any contraction"))
+    facts = {"options": dict(options), "specimen": given, "tests": sum(len(cell.tests) for cell in cells)}
     return Analysis.of(
-        KIND,
-        runs,
-        results=RESULTS,
-        estimates=estimates,
-        curves=_curves(cells, estimates),
-        dropped=[*dropped, *without],
-        findings=findings,
-        traces=_traces(cells, found.through, given),
-        facts={
-            "options": dict(options),
-            "specimen": given,
-            "tests": sum(len(cell.tests) for cell in cells),
-        },
-    )
+        KIND, runs, results=RESULTS, estimates=estimates, curves=_curves(cells, estimates),
+        dropped=[*dropped, *without], findings=findings, traces=_traces(cells, found.through, given), facts=facts,
+    )  # fmt: skip
 
 
 def _traces(cells: Sequence[Cell], through: Mapping[str, Section], given: Mapping[str, Any]) -> list[Trace]:
@@ -262,18 +252,17 @@ def _drifted(H: Estimate, cell: Cell, most: float) -> Doubt:
     return Doubt(form.DRIFT, "drift", abs(gone), seen, reason, MOST_DRIFT)
 
 
-def lack(test: Test) -> str:
-    """Reason why a trial gives no result; else empty."""
+def refuse(test: Test) -> None:
+    """Raise `NotUsable` for a test that gives no result."""
     if not all(np.count_nonzero(test.phase == index) > 1 for index in range(len(PHASES))):
-        return "it lacks one of the two ramps"
+        raise NotUsable("it lacks one of the two ramps")
     if max(np.abs(test.P).max(), np.abs(test.F).max()) > SENSELESS:
-        return "its pressure or force is beyond all sense"
+        raise NotUsable("its pressure or force is beyond all sense")
     if np.ptp(test.P) <= 0:
-        return "its pressure does not change"
+        raise NotUsable("its pressure does not change")
     if np.ptp(test.F) < PULLED:
-        top = show(float(test.P.max()), "pressure", 3)
-        return f"slack: up to {top} the force changes by {show(float(np.ptp(test.F)), 'force', 2)} only"
-    return ""
+        top, by = show(float(test.P.max()), "pressure", 3), show(float(np.ptp(test.F)), "force", 2)
+        raise NotUsable(f"slack: up to {top} the force changes by {by} only")
 
 
 def _width(cell: Cell, scales: Scales) -> Estimate:
@@ -352,10 +341,11 @@ def offers(analysis: Analysis) -> Iterator[Offer]:
 
 def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
     """Slope of force over pressure, pressure at which the force begins, gap between the ramps, force at the top."""
-    test, reason = as_test(run, trial, PHASES)
-    reason = reason if test is None else lack(test)
-    if test is None or reason:
-        return [Measured("m", "force per pressure", None), Measured("p_0", "pressure", None)], [reason]
+    try:
+        test = as_test(run, trial, PHASES)
+        refuse(test)
+    except NotUsable as reason:
+        return [Measured("m", "force per pressure", None), Measured("p_0", "pressure", None)], [str(reason)]
     cell = curve.cell_of(trial.point["contraction"], [test])
     found = [one.pressure for one in curve.begins(trial) if one is not None]
     top = float(test.P.max())

@@ -229,8 +229,7 @@ class JointStep(ProtocolHead):
         trial = self.trial
         if (self.model is None) == (self.map is None):
             c.fault(("kind",), "needs one of model and map: what the pressures are computed from")
-        for name in ("settle", "dwell", "baseline", "hold", "band"):
-            c.positive(getattr(trial, name), ("trial", name))
+        c.positives(trial, ("trial",), "settle", "dwell", "baseline", "hold", "band")
         c.inside_hold(trial.window, trial.hold)
         c.controls(MUSCLES, self.controller.output)
         if any(output.name == "angle" for output in c.mounted.bench.outputs):

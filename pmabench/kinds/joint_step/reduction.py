@@ -35,7 +35,7 @@ from pmabench.base.quantities import show
 from pmabench.kinds.joint_step import RESULTS
 from pmabench.plotting.chart import BLUE, BROWN, QUIET
 from pmabench.plotting.motion import courses as courses_of
-from pmabench.plotting.pictures import Picture, curve, has, label, of_traces, spread
+from pmabench.plotting.pictures import Drawn, curve, has, label, of_some
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -283,18 +283,15 @@ MOST = 3
 """Most trials in the figure."""
 
 
-def courses(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
+@of_some("Angle in closed loop", MOST, "t", "angle", "reference")
+def courses(traces: Sequence[Trace]) -> Drawn:
     """Angle with its goal, and the pressure of muscle 1, for the last trial of each operating point."""
-    able = [trace for trace in traces if has(trace, "t", "angle", "reference")]
-    if not able:
-        return []
-    chosen = spread(able, MOST)
     looks = [("reference", QUIET), ("angle", BLUE)]
-    looks += [("pressure_1", BROWN)] if all(has(trace, "pressure_1") for trace in chosen) else []
-    labels = [label(chosen[0], name) for name in ("t", *dict(looks))]
-    stacks = [(one.title, [curve(one, "t", name, "", color, width=1.0) for name, color in looks], ()) for one in chosen]
+    looks += [("pressure_1", BROWN)] if all(has(trace, "pressure_1") for trace in traces) else []
+    labels = [label(traces[0], name) for name in ("t", *dict(looks))]
+    stacks = [(one.title, [curve(one, "t", name, "", color, width=1.0) for name, color in looks], ()) for one in traces]
     caption = (
         "The reference, the angle that followed, and the pressure of muscle 1, in the last trial of each point; "
         "muscle 2 does the opposite."
     )
-    return [of_traces(courses_of(stacks, labels), "Angle in closed loop", caption, analysis, chosen, able)]
+    return courses_of(stacks, labels), caption

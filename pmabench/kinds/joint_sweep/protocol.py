@@ -57,13 +57,11 @@ class JointSweep(ProtocolHead):
         for name in ("lower", "upper"):
             c.within("angle", getattr(trial, name), ("trial", name))
         for point in expand(self.sweep, c.document):
-            for name in MUSCLES:
-                c.within(name, point.values[name], point.places[name])
-            speed = point.values["speed"]
+            pressures, speed = c.swept(point, *MUSCLES), point.values["speed"]
             not_faster(c, speed, point.places["speed"])
             if speed <= 0 or trial.approach <= 0 or c.too_long():
                 continue
-            held = {name: point.values[name] for name in MUSCLES} | {"angular_speed": speed}
+            held = {**dict(zip(MUSCLES, pressures, strict=True)), "angular_speed": speed}
             ends = {"lowest_angle": trial.lower, "highest_angle": trial.upper, "cycles": float(trial.cycles)}
             index = c.add_trial(held | ends, point.repeat)
             cycle = (

@@ -25,17 +25,7 @@ from pmabench.analysis.shared.trials import Reduction, grouped
 from pmabench.base.quantities import show
 from pmabench.kinds.joint_sweep import RESULTS
 from pmabench.plotting.chart import BLUE, INK, Chart, small_multiples
-from pmabench.plotting.pictures import (
-    Picture,
-    crosses,
-    curve,
-    has,
-    head,
-    label,
-    of_traces,
-    reach,
-    spread,
-)
+from pmabench.plotting.pictures import Drawn, crosses, curve, has, head, label, of_some, reach
 from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Trace
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -377,22 +367,19 @@ PANELS = 6
 """Most panels."""
 
 
-def loops(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
+@of_some("Torque over angle", PANELS, "angle", "torque")
+def loops(traces: Sequence[Trace]) -> Drawn:
     """The last loop of each operating point, and the mean of its branches."""
-    able = [trace for trace in traces if has(trace, "angle", "torque")]
-    if not able:
-        return []
-    chosen = spread(able, PANELS)
-    labels = label(chosen[0], "angle"), label(chosen[0], "torque")
+    labels = label(traces[0], "angle"), label(traces[0], "torque")
     charts = []
-    for trace, theirs in zip(chosen, crosses(chosen, "angle", "torque"), strict=True):
+    for trace, theirs in zip(traces, crosses(traces, "angle", "torque"), strict=True):
         lines = [curve(trace, "angle", "torque", "loop", BLUE, width=1.0)]
         lines += [curve(trace, "angle", "mean", "mean", INK, width=1.0, dashed=True)] if has(trace, "mean") else []
         charts.append(Chart(*labels, (*lines, *theirs), title=head(trace), legend=True))
-    gaps, slopes = (reach([trace.marks[name] for trace in chosen]) for name in ("H_tau", "K_th"))
+    gaps, slopes = (reach([trace.marks[name] for trace in traces]) for name in ("H_tau", "K_th"))
     caption = (
         "The last cycle, and the mean of its branches without what the turns leave in it: what a model without "
         f"hysteresis is to give. Gap at mid sweep, falling minus rising angle: {gaps} N·m; stiffness there: {slopes} "
         f"N·m/rad."
     )
-    return [of_traces(small_multiples(charts, 3), "Torque over angle", caption, analysis, chosen, able)]
+    return small_multiples(charts, 3), caption

@@ -51,8 +51,7 @@ class JointTorque(ProtocolHead):
     def compile(self, c: Compilation) -> Plan:
         """The plan: both muscles to pressure at angle 0, then the angles up and down, and back to 0."""
         trial = self.trial
-        for name in ("settle", "rest", "overrun"):
-            c.positive(getattr(trial, name), ("trial", name))
+        c.positives(trial, ("trial",), "settle", "rest", "overrun")
         not_faster(c, trial.speed, ("trial", "speed"))
         if any(b <= a for a, b in pairwise(trial.angles)):
             c.fault(("trial", "angles"), "must rise")
@@ -60,11 +59,9 @@ class JointTorque(ProtocolHead):
         c.within("angle", lowest, ("trial", "overrun"))
         c.within("angle", highest, ("trial", "overrun"))
         for point in expand(self.sweep, c.document):
-            for name in MUSCLES:
-                c.within(name, point.values[name], point.places[name])
+            held = dict(zip(MUSCLES, c.swept(point, *MUSCLES), strict=True))
             if c.problems or c.too_long():
                 continue
-            held = {name: point.values[name] for name in MUSCLES}
             ends = {"lowest_angle": lowest, "highest_angle": highest, "cycles": float(trial.cycles)}
             index = c.add_trial(held | ends, point.repeat)
             there = self._branch("rise", [lowest, *trial.angles, highest])

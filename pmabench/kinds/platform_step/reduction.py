@@ -25,7 +25,7 @@ from pmabench.base.quantities import show
 from pmabench.kinds.platform_step import ACCELERATIONS, MUSCLES, RESULTS, VALVES
 from pmabench.model.many.platform import Lags
 from pmabench.plotting.chart import BLUE, BROWN, INK, PAGE, PALETTE, Chart, small_multiples
-from pmabench.plotting.pictures import Picture, curve, has, head, label, of_traces, spread
+from pmabench.plotting.pictures import Drawn, curve, head, label, of_some
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Trace, withhold
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -377,18 +377,14 @@ UPPER, LOWER = 120.0, 90.0
 SHOWN = ("t", "phi", "psi", "reference_phi", "reference_psi", *MUSCLES, "wanted_1", "wanted_2", "wanted_3")
 
 
-def attitudes(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
+@of_some("Attitude of the platform", MOST, *SHOWN, columns=SHOWN[:8])
+def attitudes(traces: Sequence[Trace]) -> Drawn:
     """One trial of each attitude and chain."""
-    able = [trace for trace in traces if has(trace, *SHOWN)]
-    if not able:
-        return []
-    chosen = spread(able, MOST)
     caption = (
         "Above: attitude from the accelerometer without what its height adds, and the reference that it is to follow "
         "(dashed). Below: pressures of muscles 1 to 3, and what was wanted (dashed). The step is at 0 s."
     )
-    rows = small_multiples(list(map(_charts, chosen)), COLUMNS, width=PAGE)
-    return [of_traces(rows, "Attitude of the platform", caption, analysis, chosen, able, SHOWN[:8])]
+    return small_multiples(list(map(_charts, traces)), COLUMNS, width=PAGE), caption
 
 
 def _charts(trace: Trace) -> list[Chart]:

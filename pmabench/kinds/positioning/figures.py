@@ -15,7 +15,7 @@ from pmabench.base.quantities import show
 from pmabench.kinds.positioning.reduction import Tracked, measured
 from pmabench.plotting.chart import BROWN, FAINT, INK, PAGE, QUIET, Chart, Level, Series, small_multiples
 from pmabench.plotting.motion import overlays
-from pmabench.plotting.pictures import Picture, column, has, head, label, of_traces, spread, unit_of
+from pmabench.plotting.pictures import Drawn, Picture, column, has, head, label, of_some, unit_of
 from pmabench.store.analyses.results import Analysis, Trace
 from pmabench.store.records import RunData, TrialData
 
@@ -27,24 +27,22 @@ APPROACH = 2.0
 """Time of the approach in the upper panel [s]."""
 
 
-def positions(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
+TABLE = ("t", "setpoint", "displacement", "model", "pressure_command")
+
+
+@of_some("Positions in closed loop", MOST, "t", "displacement", "setpoint", marks=("setpoint",), columns=TABLE)
+def positions(traces: Sequence[Trace]) -> Drawn:
     """Reference, measured and simulated position of every set-point."""
-    able = [t for t in traces if has(t, "t", "displacement", "setpoint") and "setpoint" in t.marks]
-    if not able:
-        return []
-    chosen = spread(able, MOST)
-    modelled = all(has(t, "model") for t in chosen)
+    modelled = all(has(t, "model") for t in traces)
     simulated = " and simulated" if modelled else ""
     caption = (
         f"Above: the approach from rest, measured{simulated}. Below: distance from the set-point over the whole hold, "
         "on one scale. The upright line begins the window of steady-state error and limit cycle."
         f"{' The simulation is the same loop around the model.' if modelled else ''}"
     )
-    reach = max(map(_reach, chosen))
-    pairs = [_charts(trace, reach, modelled=modelled) for trace in chosen]
-    rows = small_multiples(pairs, COLUMNS, common="", one_x=False, width=PAGE)
-    columns = ("t", "setpoint", "displacement", "model", "pressure_command")
-    return [of_traces(rows, "Positions in closed loop", caption, analysis, chosen, able, columns)]
+    reach = max(map(_reach, traces))
+    pairs = [_charts(trace, reach, modelled=modelled) for trace in traces]
+    return small_multiples(pairs, COLUMNS, common="", one_x=False, width=PAGE), caption
 
 
 def paths(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:

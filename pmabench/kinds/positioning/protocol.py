@@ -398,8 +398,7 @@ class Positioning(ProtocolHead):
         """Check hold, window, band and the controller's output on their own."""
         trial, controller = self.trial, self.controller
         c.needs_channel("displacement")
-        c.positive(trial.hold, ("trial", "hold"))
-        c.positive(trial.band, ("trial", "band"))
+        c.positives(trial, ("trial",), "hold", "band")
         c.inside_hold(trial.window, trial.hold)
         c.controls(("pressure",), controller.output)
         if controller.tracking is not None:

@@ -13,12 +13,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.analysis.imported import flagged_counts, import_findings, late_by, measured, unusable_because
+from pmabench.analysis import imported
+from pmabench.analysis.shared import samples
 from pmabench.analysis.shared.calibration import Scales, listed, sentences
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.lines import mean_half
-from pmabench.analysis.shared.samples import UNDECLARED, fresh, lags_of, three_parameter
+from pmabench.analysis.shared.samples import UNDECLARED, NotUsable, fresh, lags_of, three_parameter
 from pmabench.analysis.shared.sine_loop import without_lag
+from pmabench.analysis.shared.trials import measured_trials
 from pmabench.base.quantities import show
 from pmabench.kinds.recorded_sine import RESULTS
 from pmabench.kinds.recorded_sine.form import bandwidth, changing, cut_off, hysteresis, other_shape, play, sensors
@@ -34,9 +36,7 @@ AT_REST, A_SINE = 0.5, 0.25
 LEAST = 12
 """Samples a cycle that are needed."""
 UNUSABLE_SHARE = 0.1
-UNTOLD = 0.005
-"""Assumed bound of the time between pressure and position [s] where the map gives no `late_by`."""
-UNTOLD_TIME = "nothing is known of the time between the channels"
+MOVED = ("pressure", "displacement")
 UNFILTERED = (
     "no `sensor_lag` is declared of {}: a filter of up to {} of each is in the intervals, most of all of phases and H. "
     "Declare its time constant with the channel in the map; 0.01 ms says that there is no filter"
@@ -122,7 +122,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     is declared. The bandwidth is that of `bandwidth`. K and B do not follow from x and P alone, since F_ce(P) is
     between them.
     """
-    sines, dropped, read_off = measured(runs, measure)
+    sines, dropped = measured_trials(runs, lambda run, trial: (run, measure(run, trial)))
+    read_off = imported.apart_is_known(runs)
     groups: dict[float, list[list[tuple[RunData, Sine]]]] = {}
     for run, sine in sorted(sines, key=lambda one: one[1].drive):
         alike = groups.setdefault(round(sine.frequency, 6), [])
@@ -143,8 +144,10 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         if abs(sine.off) > OFF
     ]
     if sines and not read_off:
-        findings.append(Finding("doubt", f"{UNTOLD_TIME}: phases assume at most {show(UNTOLD, 'time')}"))
-    silent = [n for n in ("pressure", "displacement") if any(not sine.lags[n] for _, sine in sines)]
+        findings.append(
+            Finding("doubt", f"{imported.UNTOLD_TIME}: phases assume at most {show(imported.UNTOLD, 'time')}")
+        )
+    silent = [n for n in MOVED if any(not sine.lags[n] for _, sine in sines)]
     if silent:
         findings.append(Finding("note", UNFILTERED.format(listed(silent), show(UNDECLARED, "time"))))
     first = [group[0][1] for _, group in sorted(swept.items())]
@@ -155,12 +158,12 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     if estimates:
         text = "no method part but for lateness and lag of the channels; how far these differ from sines is stated"
         findings.append(Finding("note", f"{text} above"))
-    findings = [*import_findings(runs), *findings]
+    findings = [*imported.import_findings(runs), *findings]
     traces = [_loop(sine) for sine in first] + ([_bode(first)] if first else [])
     facts = {
         "trials": len(sines),
         "frequencies": sorted(groups),
-        "flagged": flagged_counts(runs),
+        "flagged": imported.flagged_counts(runs),
         "left_by_first_harmonic": {sine.name: dict(sine.left) for _, sine in sines},
     }
     return Analysis.of(
@@ -168,29 +171,24 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     )
 
 
-def measure(run: RunData, trial: TrialData, late: tuple[float, float]) -> Sine | str:
-    """One trial from its samples, or the reason why it cannot be measured."""
+def measure(run: RunData, trial: TrialData) -> Sine:
+    """One trial from its samples; raises `NotUsable`."""
     frequency = trial.point.get("frequency", 0.0)
-    missing = [name for name in ("pressure", "displacement") if name not in trial.channels]
-    if missing:
-        return f"{' and '.join(missing)} not recorded"
+    samples.refuse_missing(trial, *MOVED)
     if frequency <= 0:
-        return "nothing says its frequency: give `point: {frequency: 0.5 Hz}` under `trials` of the map"
-    if trial.status != "finished":
-        return f"the trial is {trial.status}"
+        raise NotUsable("nothing says its frequency: give `point: {frequency: 0.5 Hz}` under `trials` of the map")
+    samples.refuse_incomplete(trial)
     start, end = _moving(trial, frequency)
     begin = start + max(1, floor(SETTLE * frequency + 0.999)) / frequency
     whole = floor((end - begin) * frequency + 1e-9)
     window = (trial.t >= begin) & (trial.t < begin + whole / frequency)
     if whole < 2:
-        return "it holds fewer than two whole cycles beyond those left out"
+        raise NotUsable("it holds fewer than two whole cycles beyond those left out")
     if np.any(trial.flags & np.uint16(Flag.TIME_JUMP)):
-        return "its clock jumps: what lies before and after has no common phase"
+        raise NotUsable("its clock jumps: what lies before and after has no common phase")
     if np.mean(~trial.usable[window]) > UNUSABLE_SHARE:
-        return f"too many samples are flagged: {unusable_because(trial)}"
-    new, why = _where_new(trial, window & trial.usable, LEAST * whole)
-    if why:
-        return why
+        raise NotUsable(f"too many samples are flagged: {imported.unusable_because(trial)}")
+    new = _where_new(trial, window & trial.usable, LEAST * whole)
     names = [n for n in ("pressure", "displacement", "pressure_command") if n in trial.channels]
     t = trial.t[good := min(new.values(), key=np.count_nonzero)]
     number = np.floor((trial.t - begin) * frequency + 1e-9)
@@ -214,7 +212,7 @@ def measure(run: RunData, trial: TrialData, late: tuple[float, float]) -> Sine |
     model = means + np.real(np.exp(2j * pi * real * t)[:, None] * amplitudes[None, :])
     left = np.std(signals - model, axis=0) / np.maximum(np.std(signals, axis=0), 1e-30)
     if not all(np.ptp(trial.channels[name][good]) for name in names[:2]):
-        return "pressure or displacement does not move"
+        raise NotUsable("pressure or displacement does not move")
     return Sine(
         trial=trial,
         frequency=frequency,
@@ -226,24 +224,24 @@ def measure(run: RunData, trial: TrialData, late: tuple[float, float]) -> Sine |
         amplitudes={name: complex(amplitudes[column]) for column, name in enumerate(names)},
         cycles=cycles,
         left={name: float(left[column]) for column, name in enumerate(names)},
-        late={"pressure": late, "displacement": late_by(run, "displacement") or (0.0, 0.0)},
+        late={name: imported.late_by(run, name) or (0.0, 0.0) for name in MOVED},
         off=off,
     )
 
 
-def _where_new(trial: TrialData, usable: NDArray[np.bool_], fewest: int) -> tuple[dict[str, NDArray[np.bool_]], str]:
-    """`usable` samples at which each channel is new, and why they are too few; empty if they are enough."""
-    new = {name: usable.copy() for name in ("pressure", "displacement")}
+def _where_new(trial: TrialData, usable: NDArray[np.bool_], fewest: int) -> dict[str, NDArray[np.bool_]]:
+    """`usable` samples at which each channel is new; raises `NotUsable` where they are fewer than `fewest`."""
+    new = {name: usable.copy() for name in MOVED}
     for name, rows in new.items():
         rows[usable] = fresh(trial.channels[name][usable])
     least = min(np.count_nonzero(rows) for rows in new.values())
     if np.count_nonzero(usable) < fewest:
-        return new, f"fewer than {LEAST} usable samples a cycle"
+        raise NotUsable(f"fewer than {LEAST} usable samples a cycle")
     if least < fewest:
         held = [name for name, rows in new.items() if np.count_nonzero(rows) < fewest]
         text = f"{' and '.join(held)} {'are' if held[1:] else 'is'} new {LEAST * least / fewest:.2g} times a cycle"
-        return new, f"{text}, and held in between: {LEAST} times are needed, read more often"
-    return new, ""
+        raise NotUsable(f"{text}, and held in between: {LEAST} times are needed, read more often")
+    return new
 
 
 def _read_at(
@@ -326,8 +324,8 @@ def _at(group: Sequence[tuple[RunData, Sine]], *, alone: bool, read_off: bool) -
     parents = tuple(sine.name for sine in sines)
     scales = Scales.of([run for run, _ in group])
     doubt, doubt_P = (
-        first.omega * (max(sine.apart(*names) for sine in sines) if read_off else UNTOLD)
-        for names in (("pressure", "displacement"), ("pressure",))
+        first.omega * (max(sine.apart(*names) for sine in sines) if read_off else imported.UNTOLD)
+        for names in (MOVED, MOVED[:1])
     )
 
     def estimate(
@@ -348,16 +346,16 @@ def _at(group: Sequence[tuple[RunData, Sine]], *, alone: bool, read_off: bool) -
     x, x_by = _sizes(sines, "displacement")
     width = [2 * size * abs(np.sin(p)) for size, p in zip(x, phase, strict=True)]
     width_by = [2 * size * np.abs(np.sin(p)) for size, p in zip(x_by, phase_by, strict=True)]
-    both = ("pressure", "displacement")
-    late = "lateness taken as the middle of its range" if read_off else UNTOLD_TIME
-    slow = [*sensors(first, both, phase=True), *hysteresis(sines, scales.offsets, both), *play(sines, phase=True)]
+    late = "lateness taken as the middle of its range" if read_off else imported.UNTOLD_TIME
+    slow = [*sensors(first, MOVED, phase=True), *hysteresis(sines, scales.offsets, MOVED), *play(sines, phase=True)]
     loose = play(sines)
-    sized = [[replace(one, half=one.half * float(np.mean(of))) for one in loose] for of in (x, _sizes(sines, *both)[0])]
+    gains = _sizes(sines, *MOVED)
+    sized = [[replace(one, half=one.half * float(np.mean(of))) for one in loose] for of in (x, gains[0])]
     shape = [*other_shape(sines), *(replace(one, half=_width_by(first, phase[0], one.half)) for one in slow)]
     found = [
         estimate("P", ("Pa", "pressure"), _sizes(sines, "pressure"), ("pressure",)),
         estimate("x", ("m", "length"), (x, x_by), ("displacement",), doubts=sized[0]),
-        estimate("P/x", ("Pa/m", "gain"), _sizes(sines, *both), both, doubts=sized[1]),
+        estimate("P/x", ("Pa/m", "gain"), gains, MOVED, doubts=sized[1]),
         estimate("phi_x", ("rad", "angle"), (phase, phase_by), method=doubt or None, note=late, doubts=slow),
         estimate("H", ("m", "length"), (width, width_by), ("displacement",),
                  _width_by(first, phase[0], doubt) or None, late, shape),
@@ -399,7 +397,7 @@ def _phases(sines: Sequence[Sine], upper: str, lower: str) -> Values:
 def _over_frequency(sines: Sequence[Sine]) -> list[Finding]:
     """Impure sines, and the possible delay of the pressure."""
     lines = []
-    for name in ("pressure", "displacement"):
+    for name in MOVED:
         left = [sine.left[name] for sine in sines]
         if left and max(left) > NO_SINE:
             text = f"{name} is no pure sine: {min(left):.0%} to {max(left):.0%} is left by the first harmonic"

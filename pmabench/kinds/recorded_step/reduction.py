@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.imported import flagged_counts, import_findings, measured
+from pmabench.analysis.imported import UNTOLD, UNTOLD_TIME, apart_is_known, flagged_counts, import_findings
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.samples import OF_TWO, STEPS, UNDECLARED, Held, left
 from pmabench.analysis.shared.student import mean_over, mean_with_half
-from pmabench.analysis.shared.trials import grouped
+from pmabench.analysis.shared.trials import grouped, measured_trials
 from pmabench.analysis.verdict.agreement import Offer, everywhere, values_of
 from pmabench.base.quantities import show
 from pmabench.kinds.recorded_step import RESULTS, motion
@@ -29,9 +29,6 @@ from pmabench.store.records import Array, RunData
 
 KIND = "recorded-step"
 STEP = "recorded-step"
-UNTOLD = 0.005
-"""Assumed bound of the time between pressure and position [s] where the map gives no `late_by`."""
-UNKNOWN = "nothing is known of the time between the channels"
 SWUNG = 7.0
 """Decay times after which an oscillation counts as over: a thousandth is left."""
 OVERSHOOT = 0.05
@@ -57,7 +54,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
 
     Repeats are trials with the same load and commanded pressures before and after.
     """
-    steps, dropped, read_off = measured(runs, measure)
+    steps, dropped = measured_trials(runs, lambda run, trial: (run, measure(run, trial)))
+    read_off = apart_is_known(runs)
     loads = len({_load(step) for _, step in steps}) > 1
     groups = grouped(steps, lambda one: (*_pair(one[1]), *(_load(one[1]) if loads else ())))
     commanded = [step for _, step in steps if not step.found]
@@ -93,7 +91,7 @@ def _of_all(steps: Sequence[tuple[RunData, Step]], estimates: Sequence[Estimate]
     if found:
         findings.append(Finding("note", f"{found} steps were found in the measured pressure: they tell no dead time"))
     if steps and not read_off:
-        findings.append(Finding("doubt", f"{UNKNOWN}: the dead times assume at most {show(UNTOLD, 'time')}"))
+        findings.append(Finding("doubt", f"{UNTOLD_TIME}: the dead times assume at most {show(UNTOLD, 'time')}"))
     if any(e.method == RINGING and e.value is not None for e in estimates):
         text = "K and B rest on the moving mass alone, taken as exact; the load hangs and F_ce(P) is not known here"
         findings.append(Finding("doubt", text))

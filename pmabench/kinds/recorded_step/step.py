@@ -12,9 +12,9 @@ from math import hypot
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.analysis.imported import unusable_because
+from pmabench.analysis.imported import late_by, unusable_because
 from pmabench.analysis.shared import samples
-from pmabench.analysis.shared.samples import LAG_KNOWN, LEAST, UNDECLARED, lags_of, noise_of, onset, step_of
+from pmabench.analysis.shared.samples import LAG_KNOWN, LEAST, UNDECLARED, NotUsable, lags_of, noise_of, onset, step_of
 from pmabench.base.quantities import show
 from pmabench.kinds.recorded_step.motion import Motion, before_sensor, behind, fit_motion, from_rest
 from pmabench.store.records import Array, Flag, RunData, TrialData
@@ -101,26 +101,25 @@ class Step:
         return not all(command.recorded for command in self.trial.commands)
 
 
-def measure(run: RunData, trial: TrialData, late: tuple[float, float]) -> Step | str:
-    """One step from its samples, or the reason why it cannot be measured."""
-    missing = [name for name in ("pressure", "displacement") if name not in trial.channels]
+def measure(run: RunData, trial: TrialData) -> Step:
+    """One step from its samples; raises `NotUsable`."""
+    samples.refuse_missing(trial, "pressure", "displacement")
     command = next((c for c in trial.commands if c.kind == "set" and c.output == "pressure"), None)
-    if missing:
-        return f"{' and '.join(missing)} not recorded"
     if command is None or not {"from", "pressure"} <= set(trial.point):
         if samples.nothing_moved(trial, "displacement"):
-            return "its length is held: with a column of force the map says `kind: isometric` for such a test"
-        return "it has no step of pressure: the map cuts a file into steps with `trials: {by: step, smallest: 10 kPa}`"
-    if trial.status != "finished":
-        return f"the trial is {trial.status}"
+            raise NotUsable("its length is held: with a column of force the map says `kind: isometric` for such a test")
+        raise NotUsable(
+            "it has no step of pressure: the map cuts a file into steps with `trials: {by: step, smallest: 10 kPa}`"
+        )
+    samples.refuse_incomplete(trial)
     if np.any(trial.flags & np.uint16(Flag.TIME_JUMP)):
-        return "its clock jumps"
+        raise NotUsable("its clock jumps")
     good = trial.usable
     if not good.any():
-        return f"no usable samples (flagged: {unusable_because(trial)})"
+        raise NotUsable(f"no usable samples (flagged: {unusable_because(trial)})")
     t = trial.t[good] - command.t
     read, x = trial.channels["pressure"][good], trial.channels["displacement"][good]
-    lags = lags_of(run, trial)
+    lags, late = lags_of(run, trial), late_by(run, "pressure") or (0.0, 0.0)
     slow, lag = lags["displacement"], lags["pressure"]
     over = _blurred(t, read, lag)
     P = before_sensor(t, read, lag, over) if over else read
@@ -131,17 +130,19 @@ def measure(run: RunData, trial: TrialData, late: tuple[float, float]) -> Step |
             f"{np.count_nonzero(before)} in {BEFORE:g} s before it, {np.count_nonzero(after)} in {t[-1]:.2g} s after it"
         )
         needed = f"{FEWEST} each and {AFTER:g} s are needed, so {FEWEST / BEFORE:g} Hz or more"
-        return f"too few usable samples around the step: {seen}; {needed} (flagged: {unusable_because(trial)})"
+        raise NotUsable(
+            f"too few usable samples around the step: {seen}; {needed} (flagged: {unusable_because(trial)})"
+        )
     settled = t > max(AFTER, t[-1] - 1.0)
     size = float(P[settled].mean() - P[before].mean()) if settled.any() else 0.0
     stroke = float(x[settled].mean() - x[before].mean()) if settled.any() else 0.0
     noise = float(P[before].std())
     if abs(size) < 2 * SEEN * max(noise, 1.0):
-        return f"the pressure follows by {show(size, 'pressure', 3)} only, no more than its noise"
+        raise NotUsable(f"the pressure follows by {show(size, 'pressure', 3)} only, no more than its noise")
     new = samples.fresh(read)
     risen = _rise(t[new], ((P - np.median(P[before])) * np.sign(size))[new], abs(size), noise, within)
     if risen is None:
-        return "no onset of the pressure is seen"
+        raise NotUsable("no onset of the pressure is seen")
     begins, doubt, crossed = risen
     unsure = over / 2 + LAG_KNOWN * lag
     other = (lag if _starts_with_jump(t, P, begins, over) else 0.0) if lag else UNDECLARED

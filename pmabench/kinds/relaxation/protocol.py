@@ -10,8 +10,8 @@ from pmabench.base.quantities import show
 from pmabench.files.document import Strict
 from pmabench.files.quantity import Speed, Time
 from pmabench.protocol.common import OF_TRIALS, Compilation, ProtocolHead
-from pmabench.protocol.driven import bearable, leave, not_too_fast
-from pmabench.protocol.plan import Hold, Plan, Ramp, Record, Set, TrialRecord
+from pmabench.protocol.driven import bearable, check_motion, leave
+from pmabench.protocol.plan import Hold, Plan, Ramp, Record, Set
 from pmabench.protocol.sweep import LengthAxis, PressureAxis, Sweep, expand
 
 QUIET = 5.0
@@ -54,9 +54,7 @@ class Relaxation(ProtocolHead):
     def compile(self, c: Compilation) -> Plan:
         """The plan: per point move to the contraction without pressure, step up, hold, vent and rest."""
         trial = self.trial
-        c.positive(trial.approach, ("trial", "approach"))
-        c.positive(trial.rest, ("trial", "rest"))
-        not_too_fast(c, trial.approach, ("trial", "approach"), "it approaches")
+        check_motion(c, trial, "rest")
         if not SHORTEST <= trial.hold <= LONGEST:
             c.fault(("trial", "hold"), f"a hold is {show(SHORTEST, 'time')} to {show(LONGEST, 'time')}")
         elif trial.hold <= trial.begin:
@@ -64,21 +62,18 @@ class Relaxation(ProtocolHead):
         elif trial.rest < trial.hold:
             c.fault(("trial", "rest"), "is shorter than the hold, and what that leaves behind is in the next trial")
         at = 0.0
-        for index, point in enumerate(expand(self.sweep, c.document)):
-            x, pressure = point.values["contraction"], point.values["pressure"]
+        for point in expand(self.sweep, c.document):
+            x, (pressure,) = point.values["contraction"], c.swept(point, "pressure")
             c.within("displacement", x, point.places["contraction"])
-            c.within("pressure", pressure, point.places["pressure"])
             c.positive(pressure, point.places["pressure"])
             if x < 0:
                 c.fault(point.places["contraction"], "the vented muscle must be slack: give 0 mm or more")
             bearable(c, pressure, [(x, 0.0)], point.places["contraction"], "the contraction")
             if c.problems or c.too_long():
                 continue
-            if not index:
-                c.precondition()
-                c.steps.append(Hold("rest", trial.rest))
-            c.trials.append(TrialRecord(index, {"contraction": x, "pressure": pressure}, point.repeat))
+            index = c.add_trial({"contraction": x, "pressure": pressure}, point.repeat)
             c.steps += [
+                *([] if index else [Hold("rest", trial.rest)]),
                 *([Ramp("approach", "displacement", at, x, trial.approach)] if abs(x - at) > 1e-9 else []),
                 Record("quiet", True, index),
                 Hold("quiet", QUIET),

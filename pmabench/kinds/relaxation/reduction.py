@@ -22,15 +22,7 @@ from pmabench.kinds.relaxation import RESULTS
 from pmabench.kinds.relaxation.course import BEFORE, JUMP, UNPROPORTIONAL, Course, measure
 from pmabench.kinds.relaxation.relaxing import TIMES
 from pmabench.plotting.chart import PALETTE, Chart, Series
-from pmabench.plotting.pictures import (
-    Picture,
-    column,
-    has,
-    head,
-    of_traces,
-    spread,
-    unit_of,
-)
+from pmabench.plotting.pictures import Drawn, column, head, of_some, unit_of
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace
 from pmabench.store.records import RunData, TrialData
 
@@ -148,21 +140,17 @@ def per_decade(run: RunData, trial: TrialData) -> float:
 COURSES = 4
 
 
-def courses(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
+@of_some("Force over time after the step", COURSES, "t", "force", "line")
+def courses(traces: Sequence[Trace]) -> Drawn:
     """One figure with the force over log t of all points."""
-    able = [t for t in traces if has(t, "t", "force", "line")]
-    chosen = spread(able, COURSES)
-    if not chosen:
-        return []
-    labels = "decades of time after the step, log10(t / 1 s)", unit_of(chosen[0], "force").label("force")
-    values = "".join(f"; {head(t)}: s = {t.marks['s']:.2%} per decade" for t in chosen)
+    labels = "decades of time after the step, log10(t / 1 s)", unit_of(traces[0], "force").label("force")
+    values = "".join(f"; {head(t)}: s = {t.marks['s']:.2%} per decade" for t in traces)
     caption = (
         "Marks: means of the force over equal parts of log t, the pressure divided out; lines: F = F_1 (1 − s log10 t)"
         f"{values}."
     )
-    series = [one for i, trace in enumerate(chosen) for one in _series(trace, PALETTE[i % len(PALETTE)])]
-    charts = [[Chart(*labels, tuple(series), legend=True)]]
-    return [of_traces(charts, "Force over time after the step", caption, analysis, chosen, able)]
+    series = [one for i, trace in enumerate(traces) for one in _series(trace, PALETTE[i % len(PALETTE)])]
+    return [[Chart(*labels, tuple(series), legend=True)]], caption
 
 
 def _series(trace: Trace, color: str) -> list[Series]:

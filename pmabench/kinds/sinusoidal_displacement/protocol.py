@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import ceil, isclose, pi
+from math import ceil, pi
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
@@ -10,8 +10,8 @@ from pydantic import Field
 from pmabench.files.document import Location, Strict
 from pmabench.files.quantity import Length, Speed, Time
 from pmabench.protocol.common import OF_TRIALS, Compilation, ProtocolHead
-from pmabench.protocol.driven import along_sine, arrive, bearable, leave, not_pushed_together, not_too_fast
-from pmabench.protocol.plan import Follow, Hold, Plan, Record, TrialRecord
+from pmabench.protocol.driven import Held, along_sine, bearable, check_motion, not_pushed_together, not_too_fast
+from pmabench.protocol.plan import Follow, Hold, Plan, Record
 from pmabench.protocol.sweep import FrequencyAxis, LengthAxis, Point, PressureAxis, Sweep, expand
 
 MOST_CYCLES = 1e9
@@ -56,42 +56,26 @@ class SinusoidalDisplacement(ProtocolHead):
     def compile(self, c: Compilation) -> Plan:
         """The plan: per pressure, pressurise and move to the mean; per frequency one recorded sine."""
         trial = self.trial
-        for name in ("settle", "approach"):
-            c.positive(getattr(trial, name), ("trial", name))
-        not_too_fast(c, trial.approach, ("trial", "approach"), "it approaches")
-        if trial.discard >= trial.cycles:
-            c.fault(("trial", "discard"), f"leaves nothing of {trial.cycles} cycles")
-        at: float | None = None
-        for index, point in enumerate(expand(self.sweep, c.document)):
-            pressure, frequency = point.values["pressure"], point.values["frequency"]
-            c.within("pressure", pressure, point.places["pressure"])
+        check_motion(c, trial, "settle")
+        held = Held(c, trial.settle, trial.approach)
+        for point in expand(self.sweep, c.document):
+            (pressure,), frequency = c.swept(point, "pressure"), point.values["frequency"]
             c.positive(frequency, point.places["frequency"])
             amplitude = self._amplitude(c, point)
             if frequency <= 0 or trial.approach <= 0 or amplitude is None:
                 continue
             self._possible(c, point, amplitude)
-            if index == 0:
-                c.precondition()
-            if at is None or not isclose(at, pressure):
-                back_from = None if at is None else trial.mean
-                c.steps += arrive(pressure, trial.mean, trial.settle, trial.approach, back_from)
-                at = pressure
             cycles = max(trial.cycles, ceil(min(trial.at_least * frequency, MOST_CYCLES) - 1e-9) + trial.discard)
-            values = {
-                "pressure": pressure,
-                "frequency": frequency,
-                "mean": trial.mean,
-                "amplitude": amplitude,
-                "cycles": float(cycles),
-            }
-            c.trials.append(TrialRecord(index, values, point.repeat))
+            values = {"pressure": pressure, "frequency": frequency, "mean": trial.mean, "amplitude": amplitude}
+            index = c.add_trial({**values, "cycles": float(cycles)}, point.repeat)
+            held.go(pressure, trial.mean)
             c.steps += [
                 Record("sine", True, index),
                 Follow("sine", "displacement", trial.mean, amplitude, frequency, cycles),
                 Record("sine", False, index),
                 Hold("rest", 1.0),
             ]
-        c.steps += leave(trial.mean, trial.approach)
+        held.leave()
         return c.plan("sinusoidal-displacement", {"discard": trial.discard, "time_skew": trial.time_skew})
 
     def _amplitude(self, c: Compilation, point: Point) -> float | None:

@@ -96,20 +96,17 @@ def _lift_trace(trial: TrialData) -> list[Trace]:
 
 PANELS = 6
 """Most panels."""
+OVER_TIME = ("t", "pressure", "displacement")
 
 
-def lifts(traces: Sequence[Trace], analysis: Analysis) -> list[pictures.Picture]:
+@pictures.of_some("Lift-off and set-down", PANELS, *OVER_TIME, columns=OVER_TIME)
+def lifts(traces: Sequence[Trace]) -> pictures.Drawn:
     """Pressure and contraction over time, with the pressures found."""
-    able = [t for t in traces if pictures.has(t, "t", "pressure", "displacement")]
-    if not able:
-        return []
-    chosen = pictures.spread(able, PANELS)
     caption = (
         "Above: pressure, rising until the load lifts off its support and falling until it sets down; dashed, the "
         "pressures found. Below: contraction."
     )
-    rows, columns = small_multiples([_lift(trace) for trace in chosen], 3, common=""), ("t", "pressure", "displacement")
-    return [pictures.of_traces(rows, "Lift-off and set-down", caption, analysis, chosen, able, columns)]
+    return small_multiples([_lift(trace) for trace in traces], 3, common=""), caption
 
 
 def _lift(trace: Trace) -> tuple[Chart, Chart]:

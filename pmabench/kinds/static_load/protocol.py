@@ -13,8 +13,8 @@ from pydantic import Field
 from pmabench.base.quantities import show
 from pmabench.files.document import Strict
 from pmabench.files.quantity import Length, Load, Pressure, PressureRate, Time
-from pmabench.protocol.common import OF_TRIALS, Compilation, ProtocolHead
-from pmabench.protocol.plan import Ask, Hold, Plan, Record, Seek, Set, Step, TrialRecord
+from pmabench.protocol.common import FORCE_MASS, OF_TRIALS, Compilation, ProtocolHead
+from pmabench.protocol.plan import Ask, Hold, Plan, Record, Seek, Set, Step
 from pmabench.protocol.sweep import Point, PressureAxis, Sweep, expand
 
 VENT_HOLD = 3.0
@@ -73,11 +73,11 @@ class StaticLoad(ProtocolHead):
         search = self.trial.search
         c.needs_channel("displacement")
         c.needs_channel("pressure_command")
-        for name in ("rate", "approach_rate", "back_off", "settle", "moved", "window"):
-            c.positive(getattr(search, name), ("trial", "search", name))
+        at = ("trial", "search")
+        c.positives(search, at, "rate", "approach_rate", "back_off", "settle", "moved", "window")
         if search.stroke:
-            c.positive(search.stroke_rate, ("trial", "search", "stroke_rate"))
-        c.within("pressure", search.up_to, ("trial", "search", "up_to"))
+            c.positive(search.stroke_rate, (*at, "stroke_rate"))
+        c.within("pressure", search.up_to, (*at, "up_to"))
         points = expand(self.sweep, c.document)
         if self.trial.order == "hands-at-pressure":
             self._at_pressure(c, points)
@@ -125,15 +125,13 @@ class StaticLoad(ProtocolHead):
 
     def _at_zero(self, c: Compilation, points: list[Point]) -> None:
         search = self.trial.search
-        for index, point in enumerate(points):
+        for point in points:
             if "pressure" in point.values:
                 message = 'only "order: hands-at-pressure" sets pressures; here they are searched'
                 c.fault(point.places["pressure"], message)
             values = c.load(point.values["load"], point.places["load"])
             c.put_on(values)
-            if index == 0:
-                c.precondition()
-            c.trials.append(TrialRecord(index, values, point.repeat))
+            index = c.add_trial(values, point.repeat)
             c.steps += [
                 Record("rest", True, index),
                 Hold("rest", 0.2),
@@ -151,21 +149,17 @@ class StaticLoad(ProtocolHead):
         c.positive(self.trial.hold, ("trial", "hold"))
         text = "hands are at the muscle while it is under pressure: load on and support away at the set pressure"
         c.hazards.append(text)
-        none = (0.0, 0.5)
-        for index, point in enumerate(points):
+        for point in points:
             if "pressure" not in point.values:
                 c.fault(("sweep",), '"order: hands-at-pressure" needs pressures as well as loads')
                 return
-            pressure, place = point.values["pressure"], point.places["pressure"]
-            c.within("pressure", pressure, place)
+            (pressure,), place = c.swept(point, "pressure"), point.places["pressure"]
             if pressure > most:
                 shown = show(most, "pressure")
                 c.fault(place, f"hands at {show(pressure, 'pressure')}: this bench allows them up to {shown}")
             values = {**c.load(point.values["load"], point.places["load"]), "pressure": pressure}
             load = (values["load"], values["mass"])
-            if index == 0:
-                c.precondition()
-            c.trials.append(TrialRecord(index, values, point.repeat))
+            index = c.add_trial(values, point.repeat)
             c.steps += [
                 Set("pressurise", "pressure", pressure),
                 Hold("pressurise", 3.0),
@@ -178,5 +172,5 @@ class StaticLoad(ProtocolHead):
                 Record("set-down", False, index),
                 Set("vent", "pressure", 0.0),
                 Hold("vent", VENT_HOLD),
-                Ask("unload", "Take every weight off the free end.", "vented", none),
+                Ask("unload", "Take every weight off the free end.", "vented", (0.0, FORCE_MASS)),
             ]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from math import isclose
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
@@ -10,7 +9,7 @@ from pydantic import Field
 from pmabench.files.document import Strict
 from pmabench.files.quantity import Length, Speed, Time
 from pmabench.protocol.common import OF_TRIALS, Compilation, ProtocolHead
-from pmabench.protocol.driven import arrive, bearable, leave, not_pushed_together, not_too_fast
+from pmabench.protocol.driven import Held, bearable, check_motion, not_pushed_together, not_too_fast
 from pmabench.protocol.plan import Hold, Plan, Ramp, Record, Step
 from pmabench.protocol.sweep import LengthAxis, Point, PressureAxis, SpeedAxis, Sweep, expand
 
@@ -55,16 +54,11 @@ class StepDisplacement(ProtocolHead):
     def compile(self, c: Compilation) -> Plan:
         """The plan: per pressure, pressurise and move to the start; per step and speed one recorded trial."""
         trial = self.trial
-        for name in ("hold", "settle", "approach"):
-            c.positive(getattr(trial, name), ("trial", name))
-        not_too_fast(c, trial.approach, ("trial", "approach"), "it approaches")
+        check_motion(c, trial, "hold", "settle")
         c.within("displacement", trial.start, ("trial", "start"))
-        if trial.discard >= trial.cycles:
-            c.fault(("trial", "discard"), f"leaves nothing of {trial.cycles} cycles")
-        at: float | None = None
+        held = Held(c, trial.settle, trial.approach)
         for point in expand(self.sweep, c.document):
-            pressure, step, speed = (point.values[name] for name in ("pressure", "step", "speed"))
-            c.within("pressure", pressure, point.places["pressure"])
+            (pressure,), step, speed = c.swept(point, "pressure"), point.values["step"], point.values["speed"]
             c.within("displacement", trial.start + step, point.places["step"])
             c.positive(speed, point.places["speed"])
             if step == 0:
@@ -74,18 +68,14 @@ class StepDisplacement(ProtocolHead):
             self._possible(c, point)
             values = {"pressure": pressure, "step": step, "speed": speed, "start": trial.start}
             index = c.add_trial({**values, "cycles": float(trial.cycles)}, point.repeat)
-            if at is None or not isclose(at, pressure):
-                c.steps += arrive(
-                    pressure, trial.start, trial.settle, trial.approach, None if at is None else trial.start
-                )
-                at = pressure
+            held.go(pressure, trial.start)
             c.steps += [
                 Record("before", True, index),
                 Hold("before", trial.hold),
                 *self._cycle(step, speed) * trial.cycles,
                 Record("back", False, index),
             ]
-        c.steps += leave(trial.start, trial.approach)
+        held.leave()
         return c.plan("step-displacement", {"discard": trial.discard})
 
     def _cycle(self, step: float, speed: float) -> list[Step]:

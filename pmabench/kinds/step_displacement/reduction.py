@@ -28,7 +28,7 @@ from pmabench.kinds.step_displacement import RESULTS
 from pmabench.kinds.step_displacement.step import Recovery, Relaxation, Steps, measure
 from pmabench.plotting.chart import BLUE, BROWN, INK, QUIET, Level, Series
 from pmabench.plotting.motion import courses
-from pmabench.plotting.pictures import Picture, column, has, head, label, of_traces, spread
+from pmabench.plotting.pictures import Drawn, column, has, head, label, of_some
 from pmabench.plotting.wording import shown
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace, withhold
 from pmabench.store.records import RunData, TrialData
@@ -384,28 +384,25 @@ LEVELS = ("before", "peak", "relaxed")
 """Marks of forces in a panel."""
 
 
-def steps(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
+@of_some("Steps of displacement", PANELS, "t", "force", "displacement")
+def steps(traces: Sequence[Trace]) -> Drawn:
     """Displacement, force and pressure over time around steps of displacement."""
-    able = [t for t in traces if has(t, "t", "force", "displacement")]
-    chosen = spread(able, PANELS)
-    if not chosen:
-        return []
     scale, stacks = shown("force").scale, []
-    for trace in chosen:
+    for trace in traces:
         near = _around(trace)
         lines = [
             Series("", column(trace, "t")[near], column(trace, name)[near], color, width=1.0)
             for name, color in (("displacement", QUIET), ("force", BLUE), ("pressure", BROWN))
-            if all(has(t, name) for t in chosen)
+            if all(has(t, name) for t in traces)
         ]
         levels = [Level(trace.marks[name] / scale, color=INK) for name in LEVELS if name in trace.marks]
         stacks.append((head(trace), lines, levels))
-    labels = [label(chosen[0], name) for name in ("t", "displacement", "force")] + [shown("pressure").label("pressure")]
+    labels = [label(traces[0], name) for name in ("t", "displacement", "force")] + [shown("pressure").label("pressure")]
     caption = (
         "Around the last step of a trial. Dashed: force before the step, at its peak and relaxed; the rest after the "
         "step is longer than what is drawn."
     )
-    return [of_traces(courses(stacks, labels), "Steps of displacement", caption, analysis, chosen, able)]
+    return courses(stacks, labels), caption
 
 
 def _around(trace: Trace) -> NDArray[np.bool_]:

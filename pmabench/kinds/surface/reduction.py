@@ -324,18 +324,12 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         text = f"a surface needs at least {FEWEST_TRIALS} trials with force, pressure and contraction; there are "
         text += f"{len(records)}"
         return Analysis.of(KIND, runs, results=RESULTS, dropped=dropped, findings=[Finding("fault", text)])
-    choice = choose(Data.of(records))
-    scales = Scales.of(runs)
+    choice, scales = choose(Data.of(records)), Scales.of(runs)
+    findings = [*sentences(choice), *scales.findings(records, ("force",))]
     return Analysis.of(
-        KIND,
-        runs,
-        results=RESULTS,
-        estimates=estimates(choice, scales),
-        dropped=dropped,
-        findings=[*sentences(choice), *scales.findings(records, ("force",))],
-        traces=loops(choice),
-        facts=facts(choice),
-    )
+        KIND, runs, results=RESULTS, estimates=estimates(choice, scales), dropped=dropped, findings=findings,
+        traces=loops(choice), facts=facts(choice),
+    )  # fmt: skip
 
 
 def records_of(runs: Sequence[RunData], rows: Mapping[str, Rows]) -> tuple[list[Record], list[Dropped]]:

@@ -44,7 +44,7 @@ class GainSteps(Strict):
 
     def check(self, c: Compilation) -> None:
         """Checks that apply to every trial."""
-        _positive(c, self, "gain_steps", "start", "step", "kick", "window", "level_time")
+        c.positives(self, ("trial", "gain_steps"), "start", "step", "kick", "window", "level_time")
         if self.step > 0.08 + 1e-12:
             c.fault(("trial", "gain_steps", "step"), "at most 8 % from level to level")
         if self.window <= self.kick:
@@ -79,8 +79,8 @@ class RelayTest(Strict):
         c.needs_channel("pressure")
         if self.force is not None:
             c.needs_channel("force")
-        _positive(c, self, "relay", "level_time", "settle", "window")
         at: Location = ("trial", "relay")
+        c.positives(self, at, "level_time", "settle", "window")
         for name, values in (("amplitudes", self.amplitudes), ("hysteresis", self.hysteresis)):
             for index, value in enumerate(values):
                 c.positive(value, (*at, name, index))
@@ -129,7 +129,7 @@ class OpenLoop(Strict):
     def check(self, c: Compilation) -> None:
         """Checks that apply to every trial."""
         c.needs_channel("pressure")
-        _positive(c, self, "open_loop", "amplitude", "hold", "settle")
+        c.positives(self, ("trial", "open_loop"), "amplitude", "hold", "settle")
 
     def steps(self, c: Compilation, point: Point, span: Span, place: Location) -> list[Step]:
         """Steps while a trial is recorded; commands stay in `span`, `place` is that of the bias in the file."""
@@ -147,12 +147,6 @@ def _seek(law: str, parameters: dict[str, Any], limit: float, point: Point, span
     low, high = span
     fixed = {"setpoint": point["setpoint"], "bias": point["bias"], "low": low, "high": high}
     return [Seek("ultimate-gain", law, "pressure", low, high, limit + 5.0, {**parameters, **fixed}, at_limit="flag")]
-
-
-def _positive(c: Compilation, way: Strict, of: str, *names: str) -> None:
-    """Check that these values of a law are above zero."""
-    for name in names:
-        c.positive(getattr(way, name), ("trial", of, name))
 
 
 class UltimateTrial(Strict):
@@ -188,8 +182,8 @@ class UltimateGain(ProtocolHead):
         way.check(c)
         c.positive(trial.approach, ("trial", "approach"))
         low, high = trial.pressure
-        c.within("pressure", low, ("trial", "pressure", 0))
-        c.within("pressure", high, ("trial", "pressure", 1))
+        for place, end in enumerate(trial.pressure):
+            c.within("pressure", end, ("trial", "pressure", place))
         for point in expand(self.sweep, c.document):
             bias = point.values["bias"]
             if not low <= bias <= high:

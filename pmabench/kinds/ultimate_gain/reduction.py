@@ -22,8 +22,7 @@ from pmabench.kinds.ultimate_gain.open_loop import examine as examine_steps
 from pmabench.kinds.ultimate_gain.relay import RelayCell, search_of
 from pmabench.kinds.ultimate_gain.relay import examine as examine_relay
 from pmabench.kinds.ultimate_gain.ways import Examined, GainCell
-from pmabench.model.loop import Loop
-from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Trace
+from pmabench.store.analyses.results import Analysis, Dropped
 from pmabench.store.records import RunData, TrialData
 
 KIND = "ultimate-gain"
@@ -39,43 +38,25 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     by a line at the same gain (Ziegler and Nichols 1942).
     """
     cells, dropped = _cells(runs)
-    estimates: list[Estimate] = []
-    findings: list[Finding] = []
-    traces: list[Trace] = []
+    estimates = [e for cell in cells for e in cell.estimates]
     loops: list[dict[str, Any]] = []
     settings: list[dict[str, Any]] = []
-
-    def settle(K_u: Estimate, T_u: Estimate, loop: Loop | None, apart: float) -> None:
-        """Settings and loop of one operating point; the first method with a result there is used."""
-        if K_u.value is None or T_u.value is None or any(entry["at"] == dict(K_u.at) for entry in settings):
-            return
-        if loop is not None:
-            fact = {"gain": loop.gain, "dead_time": loop.dead_time, "lags": gain_ways.plain_lags(loop), "skew": apart}
-            loops.append({"at": dict(K_u.at), **fact})
-        settings.extend(tuning.facts(tuning.tune(K_u, T_u, loop=loop), K_u.at))
-
     for cell in cells:
-        estimates += cell.estimates
-        findings += cell.findings()
-        traces += cell.traces()
-        dropped += cell.dropped
-        settle(cell.estimates[0], cell.estimates[1], cell.loop, cell.apart)
-    findings += gain_ways.findings(estimates)
+        (K_u, T_u), loop, at = cell.estimates, cell.loop, dict(cell.at)
+        if K_u.value is None or T_u.value is None or any(entry["at"] == at for entry in settings):
+            continue  # the first method with a result at an operating point is used
+        if loop is not None:
+            fact = {"gain": loop.gain, "dead_time": loop.dead_time, "lags": gain_ways.plain_lags(loop)}
+            loops.append({"at": at, **fact, "skew": cell.apart})
+        settings += tuning.facts(tuning.tune(K_u, T_u, loop=loop), K_u.at)
+    trials = sum(len(cell.good) for cell in cells)
     return Analysis.of(
-        KIND,
-        runs,
-        results=RESULTS,
-        estimates=estimates,
-        dropped=dropped,
-        findings=findings,
-        traces=traces,
-        facts={
-            "trials": sum(len(cell.good) for cell in cells),
-            "cells": len(cells),
-            "loops": loops,
-            "tuning": settings,
-        },
-    )
+        KIND, runs, results=RESULTS, estimates=estimates,
+        dropped=[*dropped, *(one for cell in cells for one in cell.dropped)],
+        findings=[*(one for cell in cells for one in cell.findings()), *gain_ways.findings(estimates)],
+        traces=[one for cell in cells for one in cell.traces()],
+        facts={"trials": trials, "cells": len(cells), "loops": loops, "tuning": settings},
+    )  # fmt: skip
 
 
 WAYS: Mapping[str, tuple[type[GainCell[Any]], Callable[[RunData, TrialData], Examined]]] = {

@@ -170,21 +170,11 @@ class GainCell(ABC, Generic[Found]):
         value = self.mean(place)
         pressure = "pressure_command" if self.by_command and "pressure_command" in scales.gains else "pressure"
         used = () if place else (pressure, "displacement")
-        return replace(
-            self._empty(place),
-            value=value,
-            parts=replace(
-                parts, repeats=half_of_trials(numbers, halves), calibration=scales.part(dict.fromkeys(used, value))
-            ),
-            n=len(good),
-            note=sentences(
-                *(doubt for one in good for doubt in one.found.doubts),
-                self.alone if len(good) == 1 else "",
-                self.note,
-                scales.lack(used),
-            ),
-            trials=tuple(one.trial.name for one in good),
-        )
+        calibration = scales.part(dict.fromkeys(used, value))
+        parts = replace(parts, repeats=half_of_trials(numbers, halves), calibration=calibration)
+        doubts, alone = (doubt for one in good for doubt in one.found.doubts), self.alone if len(good) == 1 else ""
+        note, names = sentences(*doubts, alone, self.note, scales.lack(used)), tuple(one.trial.name for one in good)
+        return replace(self._empty(place), value=value, parts=parts, n=len(good), note=note, trials=names)
 
     def findings(self) -> list[Finding]:
         """Each reason and doubt with the number of trials concerned."""
@@ -198,14 +188,9 @@ class GainCell(ABC, Generic[Found]):
     def trace(self, figure: str, title: str, columns: Mapping[str, Array], marks: Mapping[str, float]) -> Trace:
         """Columns of a figure, thinned."""
         at = "-".join(f"{self.at.get(name, 0.0):g}" for name in ("setpoint", "load"))
-        return Trace(
-            f"{figure}-{at}",
-            figure,
-            f"{title}, set-point {show(self.at.get('setpoint', 0.0), 'length')}",
-            thinned(columns),
-            {name: COLUMNS[name] for name in columns},
-            marks,
-        )
+        title = f"{title}, set-point {show(self.at.get('setpoint', 0.0), 'length')}"
+        quantities = {name: COLUMNS[name] for name in columns}
+        return Trace(f"{figure}-{at}", figure, title, thinned(columns), quantities, marks)
 
     def by_clocks(self, place: int) -> float:
         """Change of K_u (`place` 0) or T_u (1) by clock errors: the time between pressure and displacement, either

@@ -48,8 +48,7 @@ class Validation(ProtocolHead):
         c.positive(trial.hold, ("trial", "hold"))
         c.inside_hold(trial.window, trial.hold)
         for point in expand(self.sweep, c.document):
-            pressure = point.values["pressure"]
-            c.within("pressure", pressure, point.places["pressure"])
+            (pressure,) = c.swept(point, "pressure")
             c.positive(pressure, point.places["pressure"])
             values = {**c.load(point.values["load"], point.places["load"]), "pressure": pressure}
             c.put_on(values)

@@ -15,17 +15,26 @@ from numpy.typing import NDArray
 
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.form import Doubt, weighed
-from pmabench.analysis.shared.samples import between_new, count_of, fresh, lags_of, noise_of, unresolved
+from pmabench.analysis.shared.samples import (
+    NotUsable,
+    between_new,
+    count_of,
+    fresh,
+    lags_of,
+    noise_of,
+    refuse_incomplete,
+    unresolved,
+)
 from pmabench.analysis.shared.signals import smooth
 from pmabench.analysis.shared.simulated import from_commanded_pressure, from_measured_pressure, load_of, model_of
-from pmabench.analysis.shared.trials import grouped, mean_of_trials, point_of, thinned
+from pmabench.analysis.shared.trials import Reduction, grouped, mean_of_trials, point_of, thinned
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.kinds.validation import RESULTS
 from pmabench.model.presets import Described
 from pmabench.plotting.motion import overlays
 from pmabench.plotting.pictures import Picture
-from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Trace
+from pmabench.store.analyses.results import Analysis, Estimate, Finding, Trace
 from pmabench.store.records import Array, Command, RunData, TrialData
 
 KIND = "validation"
@@ -89,40 +98,29 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     of the runs; e_sim is the rms difference over the whole hold [m], including the rise. Windows come from the plan.
     Lags of sensors (`sensor_lag`, first order) are corrected.
     """
-    dropped: list[Dropped] = []
+    models = {run.id: model_of(run) for run in runs}
+
+    def usable(run: RunData, trial: TrialData, _: Mapping[str, Any]) -> tuple[RunData, TrialData]:
+        refuse(run, trial)
+        if models[run.id] is None:
+            raise NotUsable(NO_MODEL)
+        return run, trial
+
+    result = Reduction.of(KIND, RESULTS, runs, options, usable)
     found: list[_Step] = []
     for run in runs:
-        model = model_of(run)
-        reasons = [unusable(run, trial) or ("" if model else NO_MODEL) for trial in run.trials]
-        dropped += [Dropped(t.name, t.point, why) for t, why in zip(run.trials, reasons, strict=True) if why]
-        usable = [trial for trial, why in zip(run.trials, reasons, strict=True) if not why]
-        found += _steps(run, usable, model) if model is not None else []
+        if (model := models[run.id]) is not None:
+            found += _steps(run, [trial for one, trial in result.measured if one is run], model)
     cells = [(dict(at), steps) for at, steps in sorted(grouped(found, lambda step: point_of(step.trial)).items())]
     steps = [step for _, members in cells for step in members]
     full = max((step.measured for step in steps), default=0.0)
-    return Analysis.of(
-        KIND,
-        runs,
-        results=RESULTS,
-        estimates=[
-            e
-            for method in METHODS
-            for at, members in cells
-            if method in members[0].window
-            for e in _estimates(at, members, method, full)
-        ],
-        dropped=dropped,
-        findings=_findings(runs, steps, full),
-        traces=[_trace(members[0]) for _, members in cells],
-        facts={
-            "options": dict(options or {}),
-            "trials": len(steps),
-            "cells": len(cells),
-            "full_scale": full,
-            "window": list(_window(runs[0])) if runs else [],
-            "model": next((model.source for run in runs if (model := model_of(run)) is not None), None),
-        },
-    )
+    for method in METHODS:
+        for at, members in cells:
+            result.estimates += _estimates(at, members, method, full)
+    result.add((), _findings(runs, steps, full), (_trace(members[0]) for _, members in cells))
+    source = next((model.source for model in models.values() if model is not None), None)
+    window = list(_window(runs[0])) if runs else []
+    return result.analysis(cells=len(cells), full_scale=full, window=window, model=source)
 
 
 def _window(run: RunData) -> tuple[float, float]:
@@ -152,19 +150,18 @@ def _usable(trial: TrialData) -> NDArray[np.bool_]:
     return np.asarray(trial.usable & both)
 
 
-def unusable(run: RunData, trial: TrialData) -> str:
-    """Why a trial cannot be compared with any model; empty where it can."""
-    if trial.status != "finished":
-        return f"the trial is {trial.status}"
+def refuse(run: RunData, trial: TrialData) -> None:
+    """Raise `NotUsable` for a trial that cannot be compared with any model."""
+    refuse_incomplete(trial)
     if not {"pressure", "displacement"} <= set(trial.channels):
-        return "pressure or displacement is not recorded"
+        raise NotUsable("pressure or displacement is not recorded")
     if _begin(trial) is None:
-        return "no step of pressure is recorded"
-    inside = inside_window(run, trial)
-    if inside.sum() < FEWEST:
+        raise NotUsable("no step of pressure is recorded")
+    if inside_window(run, trial).sum() < FEWEST:
         low, high = _window(run)
-        return f"fewer than {FEWEST} usable samples from {low:g} s to {high:g} s after the step"
-    return "" if trial.channels["displacement"][inside].mean() > 0 else "it did not contract"
+        raise NotUsable(f"fewer than {FEWEST} usable samples from {low:g} s to {high:g} s after the step")
+    if not mean_in_window(run, trial) > 0:
+        raise NotUsable("it did not contract")
 
 
 def _rest(trial: TrialData) -> float:
@@ -440,9 +437,15 @@ def _trace(step: _Step) -> Trace:
     )
 
 
-def mean_in_window(run: RunData, trial: TrialData) -> float | None:
-    """Mean contraction in the window [m]; None where the trial cannot be used."""
-    return None if unusable(run, trial) else float(trial.channels["displacement"][inside_window(run, trial)].mean())
+def mean_in_window(run: RunData, trial: TrialData) -> float:
+    """Mean contraction in the window [m]."""
+    return float(trial.channels["displacement"][inside_window(run, trial)].mean())
+
+
+def contraction_of(run: RunData, trial: TrialData) -> float:
+    """The same of a trial that can be compared; else it raises `NotUsable`."""
+    refuse(run, trial)
+    return mean_in_window(run, trial)
 
 
 MOST = 12
@@ -458,10 +461,10 @@ def validations(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
 
 def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
     """Contraction in the window, and the expected one from the specimen file."""
-    reason = unusable(run, trial)
-    if reason:
-        return [Measured("x", "length", None)], [reason]
-    x = float(trial.channels["displacement"][inside_window(run, trial)].mean())
+    try:
+        x = contraction_of(run, trial)
+    except NotUsable as reason:
+        return [Measured("x", "length", None)], [str(reason)]
     P, load = trial.point.get("pressure", 0.0), trial.point.get("load", 0.0)
     K_e, F_e = (expected.at(name, P) if expected else None for name in ("K", "F_ce"))
     slip = expected.F_c if expected else 0.0
