@@ -171,12 +171,10 @@ class Tube:
     braid_angle: float
 
     def volume(self, x: float) -> float:
-        """V [m3] at contraction x [m] (paper 3, volume of the muscle)."""
-        eps = x / self.length
+        """V [m3] at contraction x [m] (paper 3, volume of the muscle); 0 where x is longer than the muscle."""
+        left = max(0.0, 1.0 - x / self.length)
         size = pi / 4 * self.diameter**2 * self.length
-        return float(
-            size * (1 / sin(self.braid_angle) ** 2 - (1 - eps) ** ALPHA / tan(self.braid_angle) ** 2) * (1 - eps)
-        )
+        return float(size * (1 / sin(self.braid_angle) ** 2 - left**ALPHA / tan(self.braid_angle) ** 2) * left)
 
 
 @dataclass(frozen=True)

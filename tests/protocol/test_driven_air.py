@@ -1,7 +1,7 @@
 """Fast strokes push air together: predicted, capped before anything moves, and stopped by the watch where forced."""
 
 import shutil
-from math import cos, pi, radians
+from math import cos, inf, pi, radians
 
 import numpy as np
 import pytest
@@ -31,6 +31,12 @@ def test_the_volume_is_that_of_the_library():
     """Papers digest 5.5: 40.9 cm3 at -3 %, 152.0 cm3 at 20 %; the free cylinder at 0."""
     volumes = [1e6 * TUBE.volume(x) for x in (-6e-3, 0.0, 40e-3)]
     assert volumes == pytest.approx([40.9, 62.832, 152.0], abs=0.06)
+
+
+def test_a_motion_longer_than_the_muscle_leaves_no_volume():
+    """It was the power 2.6 of a negative number: `check` ended in a TypeError."""
+    assert TUBE.volume(23.0) == 0.0
+    assert peak(3e5, [0.0, 23.0], 1.0, TUBE, None, 101325.0) == inf
 
 
 @pytest.mark.parametrize("frequency", [0.1, 1.0, 3.0])
