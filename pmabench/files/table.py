@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from math import nan
 from pathlib import Path
@@ -155,11 +156,9 @@ def meaning(column: Column, wanted: Sequence[Wanted]) -> tuple[Wanted, str | Non
 
 
 def _is_unit(unit: str, quantity: str) -> bool:
-    try:
-        unit_scale(unit, quantity)
-    except ValueError:
-        return False
-    return True
+    with suppress(ValueError):
+        return bool(unit_scale(unit, quantity))
+    return False
 
 
 def unit_scale(unit: str | None, quantity: str) -> float:

@@ -114,13 +114,8 @@ _RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
 def file_names(names: Iterator[str] | list[str]) -> list[str]:
     """A file name for each trace: legal on every system, and unique even if upper and lower case are the same."""
     taken: set[str] = set()
-    result = []
-    for name in names:
-        stem = re.sub(r"[^A-Za-z0-9._-]+", "-", name)[:100].strip("-.") or "trace"
-        if _RESERVED.fullmatch(stem):
-            stem = f"trace-{stem}"
-        result.append(unused(stem, taken))
-    return result
+    stems = (re.sub(r"[^A-Za-z0-9._-]+", "-", name)[:100].strip("-.") or "trace" for name in names)
+    return [unused(f"trace-{stem}" if _RESERVED.fullmatch(stem) else stem, taken) for stem in stems]
 
 
 def write_analysis(analysis: Analysis, folder: Path) -> Path:
@@ -132,12 +127,9 @@ def write_analysis(analysis: Analysis, folder: Path) -> Path:
         (folder / TRACES).mkdir(parents=True, exist_ok=True)
         for old in (folder / TRACES).glob("*.parquet"):
             old.unlink()
-        data = analysis.to_dict()
-        for entry, trace, name in zip(
-            data["traces"], analysis.traces, file_names([trace.name for trace in analysis.traces]), strict=True
-        ):
-            entry["file"] = f"{TRACES}/{name}.parquet"
-            entry["columns"] = list(trace.columns)
+        data, names = analysis.to_dict(), file_names([trace.name for trace in analysis.traces])
+        for entry, trace, name in zip(data["traces"], analysis.traces, names, strict=True):
+            entry |= {"file": f"{TRACES}/{name}.parquet", "columns": list(trace.columns)}
             _write_trace(trace, folder / entry["file"])
         (folder / ANALYSIS).write_bytes(in_lines(plain(data)).encode())
     except OSError as error:

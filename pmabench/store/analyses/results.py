@@ -404,17 +404,12 @@ def check_declared(
     symbols += [symbol for c in curves for symbol in (c.symbol, *(term.symbol for term in c.terms))]
     missing = [symbol for symbol in dict.fromkeys(symbols) if symbol not in known]
     if missing:
-        raise ValueError(
-            f"{kind}: not declared: {', '.join(missing)}; declared are {', '.join(known)}. Add the result to the "
-            "record of this kind of test, with title, quantity and whether it is a headline"
-        )
+        text = f"{kind}: not declared: {', '.join(missing)}; declared are {', '.join(known)}. Add the result to the "
+        raise ValueError(f"{text}record of this kind of test, with title, quantity and whether it is a headline")
     for e in estimates:
-        if e.quantity in QUANTITIES and e.unit != QUANTITIES[e.quantity].unit:
-            right = QUANTITIES[e.quantity].unit
+        if e.quantity in QUANTITIES and e.unit != (right := QUANTITIES[e.quantity].unit):
             raise ValueError(f"{kind}: {e.symbol} is given in {e.unit}; a {e.quantity} is in {right}")
         wanted = known[e.symbol]
         if not e.coordinate and (e.quantity, e.unit if wanted.unit else "") != (wanted.quantity, wanted.unit):
-            declaration = wanted.quantity or wanted.unit
-            raise ValueError(
-                f"{kind}: {e.symbol} is declared as {declaration}, and was given as {e.quantity or e.unit}"
-            )
+            given = f"declared as {wanted.quantity or wanted.unit}, and was given as {e.quantity or e.unit}"
+            raise ValueError(f"{kind}: {e.symbol} is {given}")

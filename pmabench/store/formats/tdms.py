@@ -115,9 +115,7 @@ def _group(path: str, recorded: Recorded, group: Any, only: Collection[str] | No
             recorded.columns.append(Column(name, column, unit if isinstance(unit, str) else ""))
     name = f"{group.name}/{TIME}"
     apart = max(starts, default=0.0) - min(starts, default=0.0)
-    if len(times) != 1:
-        return
-    step, count = times.pop()
+    step, count = times.pop() if len(times) == 1 else (0.0, 0)
     if not (step > 0 and np.isfinite([step, *starts]).all()):
         return
     if apart > TOGETHER * step:

@@ -76,8 +76,8 @@ class TextLayout(Layout):
             raise ValueError(
                 'comma cannot be delimiter and decimal sign at once, but in quotation marks: "quoted: true"'
             )
-        twice = self.thousands == self.decimal or (self.thousands == self.delimiter and not self.quoted)
-        if self.thousands is not None and twice:
+        used = (self.decimal, *([] if self.quoted else [self.delimiter]))
+        if self.thousands in used:
             raise ValueError(f"{self.thousands} cannot be the sign of thousands and of something else at once")
         if self.header == "none" and (self.lines_below_header or self.repeated_header != "refuse"):
             raise ValueError('"lines_below_header" and "repeated_header" need "header: first line"')
@@ -142,11 +142,8 @@ def _seconds(text: str, kind: str, order: str, days: dict[str, float]) -> float:
         days[date] = date_seconds(date, order)
     if kind == "date":
         return days[date]
-    zone = _ZONE.search(clock)
-    late = 0.0
-    if zone is not None:
-        clock, sign = clock[: zone.start()], zone[1]
-        late = 0.0 if sign == "Z" else float(f"{sign[0]}1") * (3600 * int(sign[1:3]) + 60 * int(sign[-2:]))
+    clock, zone, _ = _ZONE.split(clock, 1) if _ZONE.search(clock) else (clock, "Z", "")
+    late = 0.0 if zone == "Z" else float(f"{zone[0]}1") * (3600 * int(zone[1:3]) + 60 * int(zone[-2:]))
     return days[date] + clock_seconds(clock) - late
 
 

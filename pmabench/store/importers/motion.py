@@ -107,8 +107,8 @@ def levels(t: Array, values: Array, smallest: float) -> list[Level]:
     windows = np.lib.stride_tricks.sliding_window_view(values, width)
     quiet = windows.max(axis=1) - windows.min(axis=1) <= 0.5 * smallest
     flat = np.zeros(n, dtype=bool)
-    for k in np.flatnonzero(quiet):
-        flat[k : k + width] = True
+    for begin, end in runs(quiet):
+        flat[begin : end + width - 1] = True
     jumps = np.flatnonzero(flat[:-1] & flat[1:] & (np.abs(np.diff(values)) > 0.5 * smallest)) + 1
     parts = [part for begin, end in runs(flat) for part in _parted(begin, end, jumps)]
     found = []
@@ -235,6 +235,12 @@ def _amplitude(t: Array, values: Array, frequency: float) -> tuple[float, comple
     table = np.column_stack([np.ones(len(t)), np.cos(angle), np.sin(angle)])
     mean, cosine, sine = np.linalg.lstsq(table, values, rcond=None)[0]
     return float(mean), complex(cosine, -sine)
+
+
+def averaged(values: Array, width: int) -> Array:
+    """Moving average over `width` samples, shape (n,)."""
+    padded = np.pad(values, (width // 2, width - 1 - width // 2), mode="edge")
+    return np.convolve(padded, np.full(width, 1 / width), "valid")
 
 
 def medians(x: Array, together: int) -> Array:
