@@ -55,11 +55,8 @@ def _found(folder: Path) -> Iterator[Path]:
         if files.is_run_name(place.name) and not any(Path(entry, ANALYSIS).exists() for entry in inside):
             yield place  # an emptied run folder; analyses of a run are in a folder of the same name
             continue
-        waiting += [
-            place / entry.name
-            for entry in inside
-            if not entry.name.startswith(".") and entry.name != ANALYSES and entry.is_dir(follow_symlinks=False)
-        ]
+        named = (entry for entry in inside if not entry.name.startswith(".") and entry.name != ANALYSES)
+        waiting += [place / entry.name for entry in named if entry.is_dir(follow_symlinks=False)]
 
 
 def tasks_below(given: Sequence[Path]) -> list[Task]:

@@ -141,10 +141,8 @@ def in_lines(data: Mapping[str, Any]) -> str:
     """JSON with a line for each entry and for each item of a list entry; `indent` would be ten times slower."""
     text = json.JSONEncoder(sort_keys=True, ensure_ascii=False, allow_nan=False).encode
     lists = {key: ",\n  ".join(map(text, value)) for key, value in data.items() if isinstance(value, list) and value}
-    entries = [
-        f"{text(key)}: [\n  {lists[key]}\n ]" if key in lists else f"{text(key)}: {text(value)}"
-        for key, value in sorted(data.items())
-    ]
+    values = {key: f"[\n  {lists[key]}\n ]" if key in lists else text(value) for key, value in data.items()}
+    entries = [f"{text(key)}: {value}" for key, value in sorted(values.items())]
     return "{\n " + ",\n ".join(entries) + "\n}\n"
 
 

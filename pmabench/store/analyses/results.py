@@ -379,10 +379,7 @@ class Analysis:
             "curves": [{**vars(c), "terms": [term.to_dict() for term in c.terms]} for c in self.curves],
             "dropped": [dict(vars(d)) for d in self.dropped],
             "findings": [dict(vars(f)) for f in self.findings],
-            "traces": [
-                {key: value for key, value in vars(trace).items() if key not in ("columns", "published")}
-                for trace in self.traces
-            ],
+            "traces": [{k: v for k, v in vars(t).items() if k not in ("columns", "published")} for t in self.traces],
             "facts": dict(self.facts),
             "refusals": list(self.refusals),
             "results": [dict(vars(result)) for result in self.results],

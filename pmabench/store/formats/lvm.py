@@ -122,9 +122,8 @@ def read_lvm(
     units = first.keys.get("Y_Unit_Label", [])
     units = units if len(units) == len(first.names) else [""] * len(first.names)
     for place, (name, unit) in enumerate(zip(first.names, units, strict=True)):
-        recorded.columns.append(
-            Column(name, np.concatenate([table[:, 1 + place * file.step] for table in tables]), unit)
-        )
+        values = np.concatenate([table[:, 1 + place * file.step] for table in tables])
+        recorded.columns.append(Column(name, values, unit))
     for number, (segment, table) in enumerate(zip(segments, tables, strict=True), 1):
         said = max(map(_whole, segment.keys.get("Samples", [])), default=len(table))
         if file.multi and said != len(table):

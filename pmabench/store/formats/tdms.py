@@ -40,9 +40,8 @@ def read_tdms(path: str, content: bytes, layout: TdmsLayout | None, only: Collec
             recorded.cut_end = True
             recorded.doubts.append("the last segment is incomplete: the recording was cut off")
         if ends is not None and ends != len(content):
-            recorded.doubts.append(
-                f"the segments end at byte {ends}, the file at byte {len(content)}: bytes were lost or put in"
-            )
+            text = f"the segments end at byte {ends}, the file at byte {len(content)}: bytes were lost or put in"
+            recorded.doubts.append(text)
         for group in file.groups():
             _group(path, recorded, group, only)
         return recorded

@@ -73,9 +73,8 @@ class TextLayout(Layout):
         if len(set(self.names)) != len(self.names):
             raise ValueError("two columns have the same name")
         if self.delimiter == "comma" and self.decimal == "comma" and not self.quoted:
-            raise ValueError(
-                'comma cannot be delimiter and decimal sign at once, but in quotation marks: "quoted: true"'
-            )
+            text = "comma cannot be delimiter and decimal sign at once, but in quotation marks"
+            raise ValueError(f'{text}: "quoted: true"')
         used = (self.decimal, *([] if self.quoted else [self.delimiter]))
         if self.thousands in used:
             raise ValueError(f"{self.thousands} cannot be the sign of thousands and of something else at once")

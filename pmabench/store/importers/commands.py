@@ -175,11 +175,8 @@ def _clear(values: Array, reach: int) -> bool:
 def _in_another(one: Change, found: list[Change]) -> bool:
     """Whether a change overlaps a larger one: it is then an end of that, detected twice."""
     length, size = one.end - one.t, abs(one.value - one.before)
-    return any(
-        min(one.end, other.end) - max(one.t, other.t) > OVERLAP * length
-        for other in found
-        if abs(other.value - other.before) > size
-    )
+    larger = (other for other in found if abs(other.value - other.before) > size)
+    return any(min(one.end, other.end) - max(one.t, other.t) > OVERLAP * length for other in larger)
 
 
 def _changes(t: Array, values: Array, exact: Array, smallest: float, reach: int, share: float) -> list[Change]:
@@ -194,12 +191,9 @@ def _changes(t: Array, values: Array, exact: Array, smallest: float, reach: int,
         still = min(still, 0.5 * float(jumps[jumps > 0].min(initial=np.inf)))
     way = np.sign(moved) * (np.abs(moved) > still)
     edges = np.flatnonzero(np.diff(way, prepend=0.0, append=0.0)).tolist()
-    found = (
-        _change(t, exact, max(0, first - reach), min(len(values) - 1, last - 1 + reach), smallest)
-        for first, last in pairwise(edges)
-        if way[first] != 0
-    )
-    return [change for change in found if change is not None]
+    moving = ((first, last) for first, last in pairwise(edges) if way[first] != 0)
+    ends = ((max(0, first - reach), min(len(values) - 1, last - 1 + reach)) for first, last in moving)
+    return [change for begin, end in ends if (change := _change(t, exact, begin, end, smallest)) is not None]
 
 
 def _change(t: Array, values: Array, begin: int, end: int, smallest: float) -> Change | None:

@@ -258,10 +258,8 @@ def _low(report: Report, pressure: Checked, peak: float) -> None:
         for other, value in others.items()
         if USUAL_PEAKS[0] <= value <= USUAL_PEAKS[1]
     ):
-        text = (
-            f"is the pressure in {unit}, as the map says, or {asked}? Its peak, {number:.4g}, is low for {unit}; say "
-        )
-        text += "specimen inner_diameter, by which the force may decide it, or confirmed: [pressure-unit]"
+        text = f"is the pressure in {unit}, as the map says, or {asked}? Its peak, {number:.4g}, is low for {unit}; "
+        text += "say specimen inner_diameter, by which the force may decide it, or confirmed: [pressure-unit]"
         report.ask("pressure-unit", pressure.rule.column, text, unit)
 
 
@@ -282,13 +280,9 @@ def _pace(report: Report, pressure: Array, good: Bools) -> None:
         if between * stride >= RESOLVED:
             shortest = min(shortest, between * float(np.median(np.diff(t))))
     if shortest < FILLED:
-        text = (
-            f"what is the unit of time? As the map says it the pressure rises within {1e3 * shortest:.3g} ms, and no "
-        )
-        text += (
-            f"valve fills a muscle in less than {1e3 * FILLED:g} ms; correct the unit, or say confirmed: [time-unit]"
-        )
-        report.ask("time-unit", "time", text, "the unit of the map")
+        text = f"what is the unit of time? As the map says it the pressure rises within {1e3 * shortest:.3g} ms, and "
+        text += f"no valve fills a muscle in less than {1e3 * FILLED:g} ms; correct the unit, or say confirmed: "
+        report.ask("time-unit", "time", f"{text}[time-unit]", "the unit of the map")
 
 
 def _exchanged(report: Report, P: Array, F: Array) -> None:
@@ -313,10 +307,8 @@ def _lengths(report: Report, channels: Mapping[str, Checked], good: Bools, least
     for channel in (channels[role] for role in ("displacement", "displacement_command") if role in channels):
         top, unit = float(np.quantile(np.abs(channel.si[good]), 0.995)), channel.rule.raw_unit
         if top and not least <= top <= LENGTHS[1]:
-            text = (
-                f"is the length in {unit}, as the map says? It is {show(top, 'length', 3)} at most; correct the unit, "
-            )
-            report.ask("length-unit", channel.rule.column, f"{text}or say confirmed: [length-unit]", unit)
+            text = f"is the length in {unit}, as the map says? It is {show(top, 'length', 3)} at most; correct the "
+            report.ask("length-unit", channel.rule.column, f"{text}unit, or say confirmed: [length-unit]", unit)
 
 
 def _absolute(report: Report, P: Array, F: Array) -> None:
@@ -337,10 +329,8 @@ def _converter(report: Report, channel: Checked, good: Bools) -> None:
     whole = bool(np.all(marks == np.round(marks))) and rule.raw_unit not in FINE
     if good.sum() < MANY or len(marks) < 3 or not whole or float(np.abs(marks).max()) < 50:
         return
-    text = (
-        f"holds whole numbers only, {marks[0]:g} to {marks[-1]:g}, and they are called {rule.raw_unit}: are they "
-        'counts of a converter? Then say "unit: count" and the line of its calibration; if not, confirmed: [counts]'
-    )
+    text = f"holds whole numbers only, {marks[0]:g} to {marks[-1]:g}, and they are called {rule.raw_unit}: are they "
+    text += 'counts of a converter? Then say "unit: count" and the line of its calibration; if not, confirmed: [counts]'
     parts = (rule.column, *rule.column.replace("[", " [").replace("(", " (").replace("_", " ").split())
     if any(spelled(part) == rule.raw_unit for part in parts):  # its name gives the unit
         report.ask("counts", rule.column, text, rule.raw_unit)

@@ -72,11 +72,9 @@ class Wave:
 
     def parted(self, after: Wave) -> bool:
         """Whether the following sine is another one, or comes after a rest."""
-        return (
-            abs(after.frequency - self.frequency) > ANOTHER * self.frequency
-            or abs(after.amplitude - self.amplitude) > ANOTHER * self.amplitude
-            or (after.begin - self.end) * self.frequency > APART
-        )
+        other = abs(after.frequency - self.frequency) > ANOTHER * self.frequency
+        other |= abs(after.amplitude - self.amplitude) > ANOTHER * self.amplitude
+        return other or (after.begin - self.end) * self.frequency > APART
 
 
 def later(t: Array) -> NDArray[np.bool_]:
@@ -205,9 +203,8 @@ def _alike(t: Array, values: Array, marks: list[int], start: int, stop: int) -> 
         return True
     period, size = float(np.median(periods[:-1])), float(np.median(sizes[:-1]))
     step = float(np.median(np.diff(t[at[0] : at[-1] + 1])))
-    return bool(
-        abs(periods[-1] - period) <= SAME_PERIOD * period + 2 * step and abs(sizes[-1] - size) <= SAME_SIZE * size
-    )
+    same = abs(periods[-1] - period) <= SAME_PERIOD * period + 2 * step
+    return bool(same and abs(sizes[-1] - size) <= SAME_SIZE * size)
 
 
 def _fitted(t: Array, values: Array, begin: int, end: int, halves: int) -> list[Wave]:

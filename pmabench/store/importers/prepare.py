@@ -157,10 +157,8 @@ def _units_agree(path: Path, columns: Sequence[ColumnRule], units: Mapping[str, 
             way = f'"written: index" with "period: 1 {mapped}"'
             if column.is_channel:
                 way = f'"unit: {said}" with "line: {{slope: 1 {mapped}/{said}, offset: 0 {mapped}}}"'
-            text = (
-                f'says that the unit of "{column.column}" is {said}, the map says {mapped}; where its label is wrong '
-            )
-            problems.append(Problem(str(path), 0, 0, f"{text}write {way}"))
+            text = f'says that the unit of "{column.column}" is {said}, the map says {mapped}; where its label is '
+            problems.append(Problem(str(path), 0, 0, f"{text}wrong write {way}"))
     if problems:
         raise InvalidFile(problems)
 
@@ -235,9 +233,8 @@ def _coarse(table: Table, t: Array) -> None:
 
 def channels_of(table: Table, rules: ImportMap) -> tuple[Checked, ...]:
     """The channels of a table in memory, raw and in SI units."""
-    return tuple(
-        _checked(table, column) for column in rules.columns if column.is_channel and column.column in table.columns
-    )
+    there = (rule for rule in rules.columns if rule.is_channel and rule.column in table.columns)
+    return tuple(_checked(table, rule) for rule in there)
 
 
 def _inspected(path: Path, rules: ImportMap, table: Table) -> Seen:

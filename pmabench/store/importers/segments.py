@@ -119,10 +119,8 @@ class _Rows:
             ]
         t, command = self.t[self.good], self.values[self.driven][self.good]
         at = np.flatnonzero(np.abs(np.diff(command)) >= self.smallest) + 1
-        return [
-            Level(float(t[i]), float(t[i] - t[i - 1]), float(command[i - 1]), float(command[i]), float(t[i]))
-            for i in at
-        ]
+        steps = zip(t[at - 1].tolist(), t[at].tolist(), command[at - 1].tolist(), command[at].tolist(), strict=True)
+        return [Level(now, now - before, low, high, now) for before, now, low, high in steps]
 
     def found(self, motions: Callable[[Array, Array, float], list[Found]], channel: str) -> list[Found]:
         """Steps, cycles or sines of a channel, in its samples that are good and later than all before them."""
@@ -160,10 +158,9 @@ def segments(
     """
     rows = _Rows(t, values, flags, rules, point)
     phases = _phases(rows)
-    found = [
-        replace(part, phases=part.phases or tuple(p for p in phases if part.begin <= p[0] <= part.end))
-        for part in CUTS[rules.trials.by](rows)
-    ]
+    found = CUTS[rules.trials.by](rows)
+    inside = (tuple(phase for phase in phases if part.begin <= phase[0] <= part.end) for part in found)
+    found = [replace(part, phases=part.phases or mine) for part, mine in zip(found, inside, strict=True)]
     return (found, []) if rules.test.recording else _as_own(found, rows)
 
 
@@ -187,10 +184,8 @@ def _as_own(found: Sequence[Segment], all_rows: _Rows) -> tuple[list[Segment], l
             if len(here) and np.ptp(here) <= 1e-6 * float(np.abs(here).max()):
                 columns[name] = float(here[0])
             elif len(here):
-                text = (
-                    f"trial {number}: the column of {name} goes from {here.min():.6g} to {here.max():.6g} [SI] within "
-                )
-                doubts.append(f"{text}it, so it is not taken: cut the file into trials in which it is the same")
+                text = f"trial {number}: the column of {name} goes from {here.min():.6g} to {here.max():.6g} [SI] "
+                doubts.append(f"{text}within it, so it is not taken: cut the file into trials in which it is the same")
         point = {**known, **columns, **part.point}
         if rules.test.loaded and "load" in point and "mass" not in point:
             point["mass"] = point["load"] / G
@@ -312,11 +307,8 @@ def _by_column(rows: _Rows) -> list[Segment]:
     """Stretches with one number in the column of trials; 0 and NaN are no trial."""
     number = np.where(np.isfinite(rows.values["trial"]), rows.values["trial"], 0.0)
     edges = np.flatnonzero(np.diff(number, prepend=0.0, append=0.0))
-    return [
-        Segment(float(rows.t[first:last].min()), float(rows.t[first:last].max()), rows.point)
-        for first, last in pairwise(edges)
-        if number[first] != 0
-    ]
+    parts = (rows.t[first:last] for first, last in pairwise(edges) if number[first] != 0)
+    return [Segment(float(t.min()), float(t.max()), rows.point) for t in parts]
 
 
 def _by_command(rows: _Rows) -> list[Segment]:
@@ -355,9 +347,6 @@ def _phases(rows: _Rows) -> list[tuple[float, str]]:
     if column is not None and "phase" in rows.values and rows.good.any():
         marks, times = rows.values["phase"][rows.good], rows.t[rows.good]
         first = np.concatenate([[True], marks[1:] != marks[:-1]])
-        return [
-            (float(at), column.marks[float(mark)])
-            for at, mark in zip(times[first], marks[first], strict=True)
-            if float(mark) in column.marks
-        ]
+        begins = zip(times[first].tolist(), marks[first].tolist(), strict=True)
+        return [(at, column.marks[mark]) for at, mark in begins if mark in column.marks]
     return [(max(rows.whole[0], at), name) for name, at in rows.rules.trials.phases.items()]

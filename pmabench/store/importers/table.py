@@ -294,11 +294,8 @@ class _Rows:
             raise invalid(self.path, text)
         sequence = len(t) > 2 and bool(np.all(np.diff(t) == 1.0))
         if stamps.written == "number" and step is not None and sequence:
-            text = (
-                f'"{stamps.column}" counts samples, and the header gives Start {step[0]:g} s and Increment '
-                f'{step[1]:g} s: say "written: header step"'
-            )
-            raise invalid(self.path, text)
+            text = f'"{stamps.column}" counts samples, and the header gives Start {step[0]:g} s and Increment '
+            raise invalid(self.path, f'{text}{step[1]:g} s: say "written: header step"')
         return Clock(stamps, step)
 
 

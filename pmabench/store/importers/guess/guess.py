@@ -100,9 +100,8 @@ def _look_at_text(path: Path, guessed: TextGuess, kinds: Mapping[str, Imported])
     choose(columns)
     falls = next((c.name for c in columns if c.unit in SECONDS and is_clock(-c.values) and c.written == "number"), "")
     if falls and all(column.role != "time" for column in columns):
-        raise invalid(
-            path, f'"{falls}" falls from row to row: the newest row comes first; reverse the order of the rows'
-        )
+        text = "falls from row to row: the newest row comes first; reverse the order of the rows"
+        raise invalid(path, f'"{falls}" {text}')
     every = {column.name: column for column in [*columns, *words]}
     guess = Guess([path], guessed.layout, [every[name] for name in guessed.names], [], kinds)
     guess.reasons["file"] = guessed.reasons
@@ -267,10 +266,8 @@ def guess_files(files: Sequence[Path], kinds: Mapping[str, Imported]) -> Guess:
     if guess.lacks == "force" and all(column.role != "ignore" for column in guess.columns):
         guess.doubts.append("no column is a force or a displacement: a pressure alone gives no result here")
     if guess.role("time") is None and guess.role("pressure") is not None and isinstance(guess.layout, TextLayout):
-        guess.doubts.append(
-            "a table of points without time is no recording: report --overlay draws it next to your own, and model fit "
-            "fits a model to it"
-        )
+        text = "a table of points without time is no recording: report --overlay draws it next to your own, and model "
+        guess.doubts.append(f"{text}fit fits a model to it")
     return guess
 
 

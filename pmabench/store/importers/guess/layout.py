@@ -284,13 +284,10 @@ def _two_commas(path: str, rows: Sequence[Sequence[str]], above: Sequence[str], 
         return
     zeros = any(re.fullmatch(r"\s*0\d+\s*", text) for row in rows for text in row)
     if zeros or (names > 1 and (width == 2 * names or max(widths) > names)):
-        text = (
-            f"rows have {width} fields between commas{f' under {names} names' if names else ''}, none with a decimal "
-        )
-        text += (
-            "point: the comma seems to separate columns and decimals at once, which cannot be distinguished; export "
-        )
-        raise invalid(path, f"{text}it with semicolons or tabs, or with decimal points", len(above) + 1, 1)
+        under = f" under {names} names" if names else ""
+        text = f"rows have {width} fields between commas{under}, none with a decimal point: the comma seems to "
+        text += "separate columns and decimals at once, which cannot be distinguished; export it with semicolons or "
+        raise invalid(path, f"{text}tabs, or with decimal points", len(above) + 1, 1)
 
 
 def _decoded(path: str, content: bytes) -> tuple[str, str, str]:
@@ -325,10 +322,8 @@ def _by_words(path: str, content: bytes, part: bytes) -> tuple[str, str, str]:
     odd = {byte for byte in content if 0x80 <= byte <= 0x9F}
     if odd <= {0x80, 0x82, 0x85, 0x91, 0x92, 0x93, 0x94, 0x95, 0x96, 0x97, 0x99}:
         return part.decode("cp1252"), "cp1252", "cp1252, for it holds signs of that and is not utf-8"
-    text = (
-        f"is not text in utf-8, and its bytes ({', '.join(f'{byte:02x}' for byte in sorted(odd)[:4])} hex) leave open "
-    )
-    raise invalid(path, f"{text}in which encoding it is: save it as utf-8, or write a map with its encoding")
+    text = f"is not text in utf-8, and its bytes ({', '.join(f'{byte:02x}' for byte in sorted(odd)[:4])} hex) leave "
+    raise invalid(path, f"{text}open in which encoding it is: save it as utf-8, or write a map with its encoding")
 
 
 def split(line: str, delimiter: str, *, quoted: bool = False) -> list[str]:

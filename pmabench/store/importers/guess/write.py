@@ -104,9 +104,8 @@ def _period(column: Proposal) -> Value:
 def _order(column: Proposal) -> Value:
     if column.order != OPEN:
         return column.order
-    return Asked(
-        "", f'does day or month come first in "{column.name}"? No date in it shows that: day first, or month first'
-    )
+    text = f'does day or month come first in "{column.name}"? No date in it shows that: day first, or month first'
+    return Asked("", text)
 
 
 def _no_time(guess: Guess) -> Entries:
