@@ -5,6 +5,7 @@ from __future__ import annotations
 import getpass
 import os
 import sys
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -69,10 +70,9 @@ def _in_c(name: str) -> Any:
 
 def user_name() -> str:
     """Name of the user who runs this process."""
-    try:
+    with suppress(OSError, KeyError):
         return getpass.getuser()
-    except (OSError, KeyError):
-        return "unknown"
+    return "unknown"
 
 
 def try_lock(path: Path) -> int | None:

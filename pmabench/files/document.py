@@ -248,10 +248,9 @@ def read_document(path: Path, depth: int = 0) -> Document:
 
 def _shown(path: Path) -> str:
     """The path relative to the current folder, if it is inside."""
-    try:
+    with suppress(ValueError, OSError):
         return str(path.resolve().relative_to(Path.cwd()))
-    except (ValueError, OSError):
-        return str(path)
+    return str(path)
 
 
 _SCHEMA = re.compile(r"pmabench\.([a-z-]{1,40})/([0-9]{1,4})")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from itertools import islice
@@ -271,11 +272,10 @@ def _started(segment: _Segment, header: dict[str, str], channel: int = 0) -> dat
     times = segment.keys.get("Time") or [header.get("Time", "")]
     date, time = dates[min(channel, len(dates) - 1)], times[min(channel, len(times) - 1)]
     whole, _, part = time.replace(",", ".").partition(".")
-    try:
+    with suppress(ValueError):
         begin = datetime.strptime(f"{date} {whole}", "%Y/%m/%d %H:%M:%S")  # local, zone unknown
-    except ValueError:
-        return None
-    return begin + timedelta(seconds=float(f"0.{part}") if part.isdecimal() else 0.0)
+        return begin + timedelta(seconds=float(f"0.{part}") if part.isdecimal() else 0.0)
+    return None
 
 
 def _as_one(columns: Mapping[str, Array]) -> dict[str, str]:

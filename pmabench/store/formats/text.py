@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from itertools import pairwise
@@ -230,10 +231,9 @@ class Clock:
         written = self.stamps.written
         if written == "clock" and not self.stamps.date:
             return None
-        try:
+        with suppress(OverflowError, ValueError):
             return EPOCH + timedelta(seconds=ORIGINS.get(written, 0.0) + self._first * self._scale())
-        except (OverflowError, ValueError):
-            return None
+        return None
 
     def _past_midnight(self, values: Array) -> Array:
         """Add a day whenever the clock falls by more than half a day, which means midnight."""
@@ -254,12 +254,10 @@ def step_in(lines: Sequence[str]) -> tuple[float, float] | None:
         increment = next((k for k, name in enumerate(names) if _INCREMENT.fullmatch(name)), None)
         if start is None or increment is None or max(start, increment) >= len(numbers):
             continue
-        try:
+        with suppress(ValueError):
             found = float(numbers[start]), float(numbers[increment])
-        except ValueError:
-            continue
-        if np.isfinite(found).all() and found[1] > 0:
-            return found
+            if np.isfinite(found).all() and found[1] > 0:
+                return found
     return None
 
 

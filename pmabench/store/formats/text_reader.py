@@ -9,8 +9,10 @@ from __future__ import annotations
 import codecs
 import csv
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from io import IncrementalNewlineDecoder
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -172,13 +174,12 @@ class TextReader:
 
     def _ends_badly(self, fields: Sequence[str]) -> bool:
         """Whether only the last field of a row is incomplete."""
-        try:
+        with suppress(ValueError):
             for name in self.taken:
                 if name != self._names[-1]:
                     self._fields_of.value(fields[self._names.index(name)], self.texts.get(name, ""))
-        except ValueError:
-            return False
-        return len(fields) == len(self._names)
+            return len(fields) == len(self._names)
+        return False
 
     def _decoded(self, piece: bytes, *, last: bool) -> str:
         if self._plain and (self._zeros or b"\0" in piece):
@@ -311,11 +312,10 @@ class TextReader:
         columns: dict[str, Array] = {}
         for name, column in ((name, table.column(name)) for name in self.taken):
             if name in texts:
-                try:
+                with suppress(ValueError):
                     columns[name] = seconds_of(column.to_pylist(), texts[name], self.order)
-                except ValueError:
-                    return None
-                continue
+                    continue
+                return None
             values = np.concatenate([numbers(c.fill_null(np.nan) if c.null_count else c) for c in column.chunks])
             # words that Arrow takes for numbers ("nan", "inf") are neither finite nor missing
             if int(np.isfinite(values).sum()) + column.null_count != count:
@@ -375,11 +375,9 @@ class TextReader:
 
     def _reads(self, name: str, fields: Sequence[str]) -> bool:
         """Whether a line has a finite value in a column."""
-        try:
-            value = self._fields_of.value(fields[self._names.index(name)], self.texts.get(name, ""))
-        except (ValueError, IndexError):
-            return False
-        return bool(np.isfinite(value))
+        with suppress(ValueError, IndexError):
+            return isfinite(self._fields_of.value(fields[self._names.index(name)], self.texts.get(name, "")))
+        return False
 
     def _no_rows(self) -> None:
         """Raise InvalidFile for lines that are not rows, because rows follow them or they are too many."""

@@ -6,7 +6,7 @@ Pure functions of names and arrays; reads no file. Every choice has reasons, and
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from math import isfinite
 from pathlib import Path
@@ -72,6 +72,20 @@ class Proposal:
         return len(middles) > 1 and float(np.ptp(middles)) > STILL / METRES.get(self.unit, 1e-3)
 
 
+@dataclass(frozen=True)
+class Names:
+    """Information in the names of files or folders."""
+
+    of: str = "file"
+    forms: Sequence[str] = ()
+    units: Mapping[str, str] = field(default_factory=dict)
+    comma: bool = False
+    """Whether numbers have a decimal comma."""
+    asked: Mapping[str, str] = field(default_factory=dict)
+    """Key of a form -> reason to ask whether the number has this meaning."""
+    keys: Set[str] = frozenset()
+
+
 @dataclass
 class Guess:
     """All that was found; `columns` in the order of the file."""
@@ -87,12 +101,8 @@ class Guess:
     """Entries of the map's `trials`, as text."""
     smallest_of: str = "pressure_command"
     """Role of the channel in whose unit `smallest` of `trials` is given."""
-    forms: list[str] = field(default_factory=list)
-    form_of: str = "file"
-    form_units: dict[str, str] = field(default_factory=dict)
-    form_comma: bool = False
-    form_asked: dict[str, str] = field(default_factory=dict)
-    """Key of a form -> reason to ask whether a number in the names has this meaning."""
+    names: Names = field(default_factory=Names)
+    """Of the files or their folders; without forms if they give nothing."""
     rate: tuple[float, float] = (1.0, 1000.0)
     gap: float = 1.0
     reasons: dict[str, list[str]] = field(default_factory=dict)
@@ -120,7 +130,7 @@ class Guess:
 
     def open_point(self, name: str) -> bool:
         """Whether the test needs a coordinate that no name of a file or folder gives."""
-        return name in self.test.point and not any(f"{{{name}}}" in form for form in self.forms)
+        return name in self.test.point and not any(f"{{{name}}}" in form for form in self.names.forms)
 
     def role(self, role: str) -> Proposal | None:
         """The column with a role; None without one."""

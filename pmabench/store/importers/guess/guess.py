@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from math import pi
 from pathlib import Path
 
@@ -18,7 +18,7 @@ from pmabench.base.kind import Imported
 from pmabench.store.formats.mat import is_clock, matrix_of
 from pmabench.store.formats.record import format_of
 from pmabench.store.formats.text import TextLayout
-from pmabench.store.importers.guess.columns import SECONDS, Guess, Proposal, choose, proposal
+from pmabench.store.importers.guess.columns import SECONDS, Guess, Names, Proposal, choose, proposal
 from pmabench.store.importers.guess.layout import TextGuess, guess_layout
 from pmabench.store.importers.guess.signs import choose_kind, count, share
 from pmabench.store.importers.map_file import OPEN, spelled
@@ -161,20 +161,6 @@ OTHER_LENGTH = re.compile(
 """Text before a length that may be no contraction: a letter joined to it, or one of these words."""
 
 
-@dataclass(frozen=True)
-class Names:
-    """Information in the names of files or folders."""
-
-    keys: set[str]
-    of: str
-    forms: list[str]
-    units: dict[str, str]
-    comma: bool
-    """Whether numbers have a decimal comma."""
-    asked: dict[str, str]
-    """Key -> reason to ask whether the number has this meaning."""
-
-
 def found_in(files: Sequence[Path], of: str, without: frozenset[str] = frozenset()) -> Names:
     """Information in the names of files or folders (`of`); numbers with a unit in `without` are ignored.
 
@@ -210,7 +196,7 @@ def found_in(files: Sequence[Path], of: str, without: frozenset[str] = frozenset
     keys = {key for form in forms for key in re.findall(r"\{(\w+)\}", form)}
     if "?" in "".join(forms) or (of == "folder" and keys <= {"test"}):
         keys = set()
-    return Names(keys, of, list(forms), units, comma, why)
+    return Names(of, list(forms), units, comma, why, keys)
 
 
 def _doubtful(before: str) -> int:
@@ -339,17 +325,18 @@ def _sampling(guess: Guess) -> None:
 def _names(guess: Guess) -> None:
     """Use the dates, test numbers and points in the names of files or of their folders, whichever contain more."""
     best = max((found_in(guess.files, of) for of in ("file", "folder")), key=lambda names: len(names.keys))
-    guess.form_of, guess.form_units, guess.form_comma, guess.form_asked = best.of, best.units, best.comma, best.asked
     if best.keys and len(best.forms) <= 20:
-        guess.forms = best.forms
-        guess.reasons["name_tells"] = [f"the name of the {guess.form_of} gives {', '.join(sorted(best.keys))}"]
+        guess.names = best
+        guess.reasons["name_tells"] = [f"the name of the {best.of} gives {', '.join(sorted(best.keys))}"]
+    else:
+        guess.names = replace(best, forms=())
 
 
 def _frequency(guess: Guess) -> None:
     """Let the frequency of a sine be fitted in each file, if no name gives it or the name is wrong."""
     if not guess.frequency:
         return
-    found = frequency_of(guess.files[0], guess.form_of, guess.form_units)
+    found = frequency_of(guess.files[0], guess.names.of, guess.names.units)
     slowest = 1.0 / float(guess.seconds[-1] - guess.seconds[0]) if guess.seconds is not None else 0.0
     if (found is None or abs(found - guess.frequency) > 0.1 * found + 2 * slowest) and count(guess, "sine") > 0:
         why = "no name gives its frequency"

@@ -302,11 +302,10 @@ def _decoded(path: str, content: bytes) -> tuple[str, str, str]:
         raise invalid(path, "is an Excel workbook, or another archive: save the sheet as CSV (UTF-8), and import that")
     if b"\0" in content:
         raise invalid(path, "is binary, and neither LabVIEW (.lvm), TDMS nor MATLAB (.mat): export it as text")
-    try:
+    with suppress(UnicodeDecodeError):
         content.decode("utf-8")
-    except UnicodeDecodeError:
-        return _by_words(path, content, part)
-    return part.decode("utf-8-sig", "ignore"), "utf-8", "text in utf-8"
+        return part.decode("utf-8-sig", "ignore"), "utf-8", "text in utf-8"
+    return _by_words(path, content, part)
 
 
 def _by_words(path: str, content: bytes, part: bytes) -> tuple[str, str, str]:

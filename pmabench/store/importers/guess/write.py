@@ -368,21 +368,22 @@ def _zero(column: Proposal, unit: str, x: np.ndarray, rises: bool) -> Entries:
 
 
 def _name_lines(guess: Guess) -> list[str]:
-    if not guess.forms:
+    names = guess.names
+    if not names.forms:
         return []
-    forms = [json.dumps(form, ensure_ascii=not form.isprintable()) for form in guess.forms]
-    entries: Entries = {"of": guess.form_of, "forms": forms}
-    if guess.form_comma:
+    forms = [json.dumps(form, ensure_ascii=not form.isprintable()) for form in names.forms]
+    entries: Entries = {"of": names.of, "forms": forms}
+    if names.comma:
         entries["decimal"] = "comma"
-    if guess.form_units:
-        texts = guess.form_asked
-        entries["units"] = {k: Asked(unit, texts[k]) if k in texts else unit for k, unit in guess.form_units.items()}
-    lacking = {key: [form for form in guess.forms if f"{{{key}}}" not in form] for key in sorted(guess.form_units)}
+    if names.units:
+        asking = {key: Asked(names.units[key], text) for key, text in names.asked.items() if key in names.units}
+        entries["units"] = {**names.units, **asking}
+    lacking = {key: [form for form in names.forms if f"{{{key}}}" not in form] for key in sorted(names.units)}
     if lacking := {key: without for key, without in lacking.items() if without}:
         without = next(iter(lacking.values()))[0]
         text = f'which {", ".join(lacking)} have the files whose name is "{without}"? Their name has none'
         texts = dict.fromkeys(lacking, "") | {next(iter(lacking)): text}
-        entries["otherwise"] = {key: Asked(f"0 {guess.form_units[key]}", texts[key]) for key in lacking}
+        entries["otherwise"] = {key: Asked(f"0 {names.units[key]}", texts[key]) for key in lacking}
     return [*block(f"name_tells:{_why(guess, 'name_tells')}", entries), ""]
 
 
@@ -398,7 +399,7 @@ def _trials(guess: Guess) -> list[str]:
     if guess.trials["by"] == "file" and guess.open_point("frequency"):
         text = "which frequency has the sine? It is read off its spectrum only"
         point["frequency"] = Asked(f"{guess.frequency:.3g} Hz", text)
-    if guess.constant and not any("{pressure}" in form for form in guess.forms):
+    if guess.constant and not any("{pressure}" in form for form in guess.names.forms):
         text = "at which pressure was each file recorded? No column and no name says it. For instance 3 bar"
         point["pressure"] = Asked("", text)
     return entry("trials: ", {**trials, **({"point": point} if point else {})}, "")
@@ -409,7 +410,7 @@ def _siblings(guess: Guess) -> list[str]:
 
     A comment where columns without names leave open whether it is one.
     """
-    if not any("{test}" in form for form in guess.forms) or len(guess.files) < 2:
+    if not any("{test}" in form for form in guess.names.forms) or len(guess.files) < 2:
         return []
     line = "siblings: {force: 30 %, pressure: 10 %}  # of files at one contraction: beyond it the scale is another one"
     if guess.test.held and guess.role("force") is not None:
