@@ -163,9 +163,7 @@ def late(report: Report, force: Checked, pressure: Checked, good: Bools) -> bool
     if abs(seconds) < max(LEAST, 3.0 * period):
         return False
     shift = max(2, round(0.5 * abs(seconds) / period))  # half of the lag: another reversal may follow
-    first, second = (P, F) if seconds > 0 else (F, P)
-    share = _goes_on(first, second, shift)
-    if share is None or share < GOES_ON:
+    if _goes_on(*((P, F) if seconds > 0 else (F, P)), shift) < GOES_ON:
         return False
     moved = np.interp(report.t[rows] + seconds, report.t[rows], force.si[rows])
     as_is, shifted = (magnitude.slope_of(pressure.si[rows], pulls) for pulls in (force.si[rows], moved))
@@ -232,10 +230,10 @@ def _lag(F: Array, P: Array, most: int, *, alone: bool = False) -> float:
     return 0.0
 
 
-def _goes_on(first: Array, second: Array, shift: int) -> float | None:
-    """Change of `second` in `shift` points after stops or reversals of `first`, relative to that before; else None."""
-    before = np.concatenate([np.zeros(shift), first[shift:] - first[:-shift]])
-    after = np.concatenate([first[shift:] - first[:-shift], np.zeros(shift)])
+def _goes_on(first: Array, second: Array, shift: int) -> float:
+    """Change of `second` in `shift` points after stops or reversals of `first`, relative to that before; else 0."""
+    moved, rest = first[shift:] - first[:-shift], np.zeros(shift)
+    before, after = np.concatenate([rest, moved]), np.concatenate([moved, rest])
     large = np.abs(before) > 0.3 * float(np.max(np.abs(before)))
     stops = large & (np.sign(before) * after < STOPS * np.abs(before))
     stops[-shift:] = False
@@ -246,10 +244,9 @@ def _goes_on(first: Array, second: Array, shift: int) -> float | None:
         if at < shift or at + shift >= len(second):
             continue
         past = second[at] - second[at - shift]
-        if past * before[at] <= 0 or abs(past) < 0.02 * np.ptp(second):
-            continue
-        shares.append(float((second[at + shift] - second[at]) / past))
-    return float(np.median(shares)) if shares else None
+        if past * before[at] > 0 and abs(past) >= 0.02 * np.ptp(second):
+            shares.append(float((second[at + shift] - second[at]) / past))
+    return float(np.median(shares)) if shares else 0.0
 
 
 SHARE = 0.1

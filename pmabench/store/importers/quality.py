@@ -6,7 +6,7 @@ Every rule uses numbers alone and reports the samples that it flags.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -51,12 +51,32 @@ OPPOSITE = -0.5
 
 
 def codes(report: Report, channel: Checked, looked_at: Bools) -> Bools:
-    """Flag codes for "no value"; returns the samples of `looked_at`, shape (n,), that remain."""
-    left = looked_at.copy()
-    for code, where in _codes(channel, left, channel.rule.role.endswith("command")):
-        text = f"reads exactly {code:.10g}, far from its other readings: a code for no value, or for beyond the range"
-        report.mark(where, Flag.DROPOUT, "doubt", "sentinel", text, channel.rule.role)
-        left &= ~where
+    """Flag codes for "no value" that are distinct from a channel's other readings.
+
+    Returns the samples of `looked_at`, shape (n,), that remain.
+    """
+    left, numbers, command = looked_at.copy(), channel.numbers, channel.rule.role.endswith("command")
+    hits = _hits(numbers, looked_at)
+    others = numbers[np.logical_and.reduce([looked_at, *(~here for here in hits.values())])]
+    if not hits or len(others) < 2:
+        return left
+    low, high = float(others.min()), float(others.max())
+    span = max(high - low, 1e-9 * max(abs(low), abs(high)))
+    outside = (3.0 if command else BEYOND) * span
+    for code, here in hits.items():
+        if code == 0.0:
+            brief = here & ~_longer(here, BURST)
+            where = brief & _leaps(numbers, brief, left, BEYOND * span)
+        elif abs(code) > 100 and (code < low - outside or code > high + outside):
+            where = here
+        else:
+            where = here & _leaps(numbers, here, left, BEYOND * span)
+        if where is here or not command:
+            text = (
+                f"reads exactly {code:.10g}, far from its other readings: a code for no value, or for beyond the range"
+            )
+            report.mark(where, Flag.DROPOUT, "doubt", "sentinel", text, channel.rule.role)
+            left &= ~where
     return left
 
 
@@ -75,30 +95,6 @@ def bursts(report: Report, channel: Checked, looked_at: Bools) -> Bools:
     text = "leaps to one value, stays exactly there for some samples and leaps back: no reading, but a value held"
     report.mark(held, Flag.SUSPECT, "doubt", "held", text, role)
     return left & ~held
-
-
-def _codes(channel: Checked, looked_at: Bools, command: bool) -> Iterator[tuple[float, Bools]]:
-    """Each code that occurs, and a mask of its samples that are distinct from the channel's other readings."""
-    numbers = channel.numbers
-    hits = _hits(numbers, looked_at)
-    if not hits:
-        return
-    others = looked_at & ~np.logical_or.reduce(list(hits.values()))
-    if others.sum() < 2:
-        return
-    low, high = float(numbers[others].min()), float(numbers[others].max())
-    span = max(high - low, 1e-9 * max(abs(low), abs(high)))
-    outside = (3.0 if command else BEYOND) * span
-    for value, here in hits.items():
-        if value == 0.0:
-            brief = here & ~_longer(here, BURST)
-            where = brief & _leaps(numbers, brief, looked_at, BEYOND * span)
-        elif abs(value) > 100 and (value < low - outside or value > high + outside):
-            where = here
-        else:
-            where = here & _leaps(numbers, here, looked_at, BEYOND * span)
-        if where is here or not command:
-            yield value, where
 
 
 def _hits(numbers: Array, looked_at: Bools) -> dict[float, Bools]:

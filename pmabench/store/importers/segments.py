@@ -128,11 +128,9 @@ class _Rows:
 
     def command(self, step: Level) -> dict[str, Any]:
         """Data of a `command` event, with `t`; with `found` if it was detected in the measured pressure."""
-        command = {
-            "t": step.t, "output": "pressure", "type": "set", "value": step.value, "before": step.before,
-            "phase": "step", "within": step.within,
-        }  # fmt: skip
-        return {**command, "found": 1.0} if self.driven == "pressure" else command
+        levels = {"t": step.t, "output": "pressure", "type": "set", "value": step.value, "before": step.before}
+        found = {"found": 1.0} if self.driven == "pressure" else {}
+        return {**levels, "phase": "step", "within": step.within, **found}
 
     def commanded_steps(self) -> list[dict[str, Any]]:
         """Commands of the recorded steps; empty without a recorded command."""

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 from pmabench.base.errors import invalid
 from pmabench.store.formats.record import distinct
-from pmabench.store.formats.text import MARKS, MINUS, Stamps, TextLayout, seconds_of, step_in
+from pmabench.store.formats.text import MARKS, MINUS, NUMBER, Stamps, TextLayout, seconds_of, step_in
 from pmabench.store.importers.map_file import spelled
 
 ENOUGH = 0.99
@@ -97,7 +97,6 @@ FAULTS = 0.05
 FEWEST = 3
 """Fewest numbers among the first rows of a column of numbers; others may be blank where rates are mixed."""
 _QUOTED = re.compile(r'"\s*[+-]?[\d.,]+(?:[eE][+-]?\d{1,3})?\s*"')
-_POINT = re.compile(r"\s*[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d{1,3})?\s*")
 _COMMA = re.compile(r"\s*[+-]?(?:\d+,?\d*|,\d+)(?:[eEdD][+-]?\d{1,3})?\s*")
 
 
@@ -359,7 +358,7 @@ def _ways(lines: Sequence[str], above: int, *, quoted: bool) -> Iterator[_Cells]
     even = [mark for mark in ("tab", "semicolon", "bar") if _in_each(lines[above:], MARKS[mark])]
     for delimiter in ("tab", "semicolon", "comma", "bar", *(() if quoted else ("blank",))):
         cut = [split(line, delimiter, quoted=quoted) for line in lines]
-        for decimal, number in (("point", _POINT), ("comma", _COMMA)):
+        for decimal, number in (("point", NUMBER), ("comma", _COMMA)):
             thousands = _thousands(cut, decimal)
             rows: list[tuple[int, int]] = []
             numbers = 0
@@ -455,7 +454,7 @@ def _words(body: _Body, names: Sequence[str], reasons: list[str]) -> tuple[list[
 
     Raises InvalidFile where the words are numbers with the other decimal sign.
     """
-    number, otherwise = (_COMMA, _POINT) if body.decimal == "comma" else (_POINT, _COMMA)
+    number, otherwise = (_COMMA, NUMBER) if body.decimal == "comma" else (NUMBER, _COMMA)
     cells, texts, missing, other = body.below(), list[int](), set[str](), dict[int, str]()
     for column in range(body.width):
         every = (row[column] for row in cells)
