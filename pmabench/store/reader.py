@@ -165,7 +165,7 @@ class RunFiles:
 
     def __init__(self, path: Path, anew: Recalibration | None = None) -> None:
         self.path = path
-        self.anew = anew
+        self.anew = anew or Recalibration()
         self.lines: dict[str, Line] = {}
         """Channel -> conversion from the old to the new scale, for the streams read so far."""
         self.manifest = read_manifest(path)
@@ -247,8 +247,6 @@ class RunFiles:
                 whole = sealed and not found.get("fault")
             device = self.manifest.get("devices", {}).get(name, {})
             clock = _clock(name, events, arrivals, own=device.get("clock", "own") == "own")
-            if self.anew is None:
-                return _in_si(table, about, clock, whole)
             changed, lines = self.anew.columns(about, self.path)
             self.lines |= lines
             return self.anew.moved(_in_si(table, changed, clock, whole))

@@ -308,8 +308,7 @@ def _asking(kind: str, path: str, size: int) -> Iterator[_Child]:
     """The child of a format; if it ends meanwhile, this is reported as a fault of the file."""
     child = _children.get(kind)
     if child is None or child.owner != os.getpid() or child.process.poll() is not None:
-        if child is not None and child.owner == os.getpid():
-            child.end()
+        close_readers(kind)
         child = _children[kind] = _Child(kind)
     try:
         yield child
@@ -334,9 +333,8 @@ def _why(code: int, size: int) -> str:
 
 
 @atexit.register
-def close_readers() -> None:
-    """End all children that this process started."""
-    for kind in list(_children):
-        child = _children.pop(kind)
+def close_readers(*kinds: str) -> None:
+    """End the children of these formats, or of all, that this process started."""
+    for child in [_children.pop(kind) for kind in kinds or list(_children) if kind in _children]:
         if child.owner == os.getpid():
             child.end()

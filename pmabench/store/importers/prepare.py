@@ -331,11 +331,9 @@ def _notes(path: Path, pattern: str | None) -> tuple[str, bytes] | None:
     found = sorted(p for p in path.resolve().parent.iterdir() if fnmatchcase(p.name, pattern) and p.is_file())
     if len(found) > 1:
         raise invalid(path, f'more than one file of notes fits "{pattern}": {found[0].name}, {found[1].name}')
-    if not found:
-        return None
-    if found[0].stat().st_size > NOTES_BYTES:
+    if found and found[0].stat().st_size > NOTES_BYTES:
         raise invalid(found[0], f"is larger than {NOTES_BYTES} bytes: no notes")
-    return found[0].name, found[0].read_bytes()
+    return (found[0].name, found[0].read_bytes()) if found else None
 
 
 def _is_int(channel: Checked) -> bool:

@@ -307,10 +307,8 @@ def _check_size(path: Path, most: int) -> None:
         raise invalid(path, "is not a file" if path.exists() else "there is no such file")
     with reading(path):
         size = path.stat().st_size
-    if size == 0:
-        raise invalid(path, "is empty")
-    if size > most:
-        raise invalid(path, f"is larger than {most // 1_000_000} MB; import it in parts")
+    if not 0 < size <= most:
+        raise invalid(path, f"is larger than {most // 1_000_000} MB; import it in parts" if size else "is empty")
 
 
 def content_of(path: Path, most: int | None = None) -> bytes:
