@@ -5,6 +5,7 @@ from __future__ import annotations
 import getpass
 import os
 import sys
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -47,31 +48,31 @@ KEPT, AT_ONCE = 128 * 2**20, 32 * 2**20
 
 def keep_freed_memory() -> None:
     """Keep freed memory for the next array, if the C library can: each new page costs as much as the sum over it."""
-    if sys.platform == "linux":
-        import ctypes
-
-        option = getattr(ctypes.CDLL(None), "mallopt", None)
-        if option is not None:
-            option(-1, KEPT)  # M_TRIM_THRESHOLD
-            option(-3, AT_ONCE)  # M_MMAP_THRESHOLD
+    if option := _in_c("mallopt"):
+        option(-1, KEPT)  # M_TRIM_THRESHOLD
+        option(-3, AT_ONCE)  # M_MMAP_THRESHOLD
 
 
 def give_back_memory() -> None:
     """Return freed memory to the system after much was read at once, if the C library can."""
-    if sys.platform == "linux":
-        import ctypes
+    if trim := _in_c("malloc_trim"):
+        trim(0)
 
-        trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
-        if trim is not None:
-            trim(0)
+
+def _in_c(name: str) -> Any:
+    """A function of the C library of Linux; None on other systems, or where it has none."""
+    if sys.platform != "linux":
+        return None
+    import ctypes
+
+    return getattr(ctypes.CDLL(None), name, None)
 
 
 def user_name() -> str:
     """Name of the user who runs this process."""
-    try:
+    with suppress(OSError, KeyError):
         return getpass.getuser()
-    except (OSError, KeyError):
-        return "unknown"
+    return "unknown"
 
 
 def try_lock(path: Path) -> int | None:

@@ -30,20 +30,17 @@ Attributes = list[Any]
 
 def in_front(fd: int) -> bool:
     """Whether `fd` is a terminal with this process in the foreground, so that it may be read and changed."""
-    try:
+    with suppress(OSError, AttributeError):
         return os.isatty(fd) and os.tcgetpgrp(fd) == os.getpgrp()
-    except (OSError, AttributeError):
-        return False
+    return False
 
 
 def attributes(fd: int) -> Attributes | None:
     """Present settings of the terminal, for `restore`; None if it is no terminal."""
-    if termios is None:
-        return None
-    try:
-        return termios.tcgetattr(fd)
-    except (termios.error, OSError):
-        return None
+    if termios is not None:
+        with suppress(termios.error, OSError):
+            return termios.tcgetattr(fd)
+    return None
 
 
 def restore(fd: int, before: Attributes | None) -> None:
@@ -60,10 +57,9 @@ def restore(fd: int, before: Attributes | None) -> None:
 
 def _taken_back(fd: int) -> bool:
     """Whether another program, such as a shell, has taken control of the terminal and changed its settings."""
-    try:
+    with suppress(OSError, AttributeError):
         return os.tcgetpgrp(fd) not in (0, os.getpgrp())
-    except (OSError, AttributeError):
-        return False
+    return False
 
 
 class Keyboard:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import types
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
@@ -123,16 +123,14 @@ class Document:
         value = Document(source, f"value: {text}")
         target: Any = self.data
         for part in location[:-1]:
-            inside = isinstance(target, dict) and part in target
-            inside = inside or (isinstance(target, list) and isinstance(part, int) and part < len(target))
-            if not inside:
-                known = [str(key) for key in target] if isinstance(target, dict) else []
+            if not ((isinstance(target, dict) and part in target) or _is_place(target, part)):
+                known = map(str, target) if isinstance(target, dict) else ()
                 raise invalid(source, f'there is no "{part}" in {self.path}{did_you_mean(str(part), known)}')
             target = target[part]
         if not isinstance(target, (dict, list)):
             raise invalid(source, f"there is nothing to set in {self.path}")
         self._forget(location)
-        if isinstance(target, list) and not (isinstance(location[-1], int) and location[-1] < len(target)):
+        if isinstance(target, list) and not _is_place(target, location[-1]):
             raise invalid(source, f"the list in {self.path} has no place {location[-1]}")
         target[location[-1]] = value.data["value"]  # type: ignore[index]
         if source != self.path:
@@ -163,7 +161,8 @@ class Document:
         except MarkedYAMLError as error:
             mark = error.problem_mark or error.context_mark
             line, column = (mark.line + 1, mark.column + 1) if mark else (0, 0)
-            message = _yaml_mistake(" ".join(str(error.problem or error.context or "not YAML").split()))
+            message = " ".join(str(error.problem or error.context or "not YAML").split())
+            message = next((words for begin, words in MISTAKES.items() if message.startswith(begin)), message)
             raise invalid(self.path, f"not readable as YAML: {message}", line, column) from error
         except (YAMLError, ValueError, RecursionError) as error:
             raise invalid(self.path, f"not readable as YAML: {' '.join(str(error).split())[:200]}") from error
@@ -174,13 +173,12 @@ class Document:
 
     def _plain(self, node: Node, location: Location, key_place: Place | None = None) -> Any:
         self._budget -= 1
-        mark = node.start_mark
-        place = (self.path, mark.line + 1, mark.column + 1)
-        self._places[location] = (place, key_place or place)
+        at = (node.start_mark.line + 1, node.start_mark.column + 1)
+        self._places[location] = ((self.path, *at), key_place or (self.path, *at))
         if self._budget < 0 or len(location) > MAX_DEPTH:
-            raise invalid(self.path, "the file is too large or too deep", mark.line + 1, mark.column + 1)
+            raise invalid(self.path, "the file is too large or too deep", *at)
         if node.tag and node.tag.removeprefix("tag:yaml.org,2002:") not in _TAGS:
-            raise invalid(self.path, f"tags are not allowed: {node.tag}", mark.line + 1, mark.column + 1)
+            raise invalid(self.path, f"tags are not allowed: {node.tag}", *at)
         if isinstance(node, ScalarNode):
             return _scalar(node)
         if isinstance(node, SequenceNode):
@@ -195,6 +193,11 @@ class Document:
                 raise invalid(self.path, f'key "{key}" is given twice', *at)
             data[key] = self._plain(value_node, (*location, key), (self.path, *at))
         return data
+
+
+def _is_place(data: Any, part: str | int) -> bool:
+    """Whether `part` is the number of an item of a list."""
+    return isinstance(data, list) and isinstance(part, int) and part < len(data)
 
 
 _WORDS: dict[str, bool | None] = {
@@ -245,10 +248,9 @@ def read_document(path: Path, depth: int = 0) -> Document:
 
 def _shown(path: Path) -> str:
     """The path relative to the current folder, if it is inside."""
-    try:
+    with suppress(ValueError, OSError):
         return str(path.resolve().relative_to(Path.cwd()))
-    except (ValueError, OSError):
-        return str(path)
+    return str(path)
 
 
 _SCHEMA = re.compile(r"pmabench\.([a-z-]{1,40})/([0-9]{1,4})")
@@ -266,11 +268,9 @@ def check_schema(model: type[BaseModel], document: Document) -> None:
     found, wanted = _SCHEMA.fullmatch(str(written)), _SCHEMA.fullmatch(expected)
     if found is None or wanted is None or found[0] == wanted[0]:
         return
+    message = f"is a {found[1]} file ({written}) where a {wanted[1]} file is expected ({expected}); give another file"
     if found[1] == wanted[1]:
         message = f"is written in version {found[2]} of the {wanted[1]} file; this pmabench reads version {wanted[2]}"
-    else:
-        other = f"is a {found[1]} file ({written}) where a {wanted[1]} file is expected"
-        message = f"{other} ({expected}); give another file"
     raise InvalidFile([document.problem(("schema",), message)])
 
 
@@ -280,7 +280,7 @@ def validate(model: type[Model], document: Document) -> Model:
     try:
         return model.model_validate(document.data)
     except ValidationError as error:
-        problems = list(_problems(model, document, error))
+        problems = _problems(model, document, error)
     if "schema" not in document.data and (expected := _schema_of(model)):
         # what else is missing counts only once it is clear which kind of file it should be
         problems = [problem for problem in problems if not problem.message.endswith("is missing")]
@@ -289,15 +289,13 @@ def validate(model: type[Model], document: Document) -> Model:
     raise InvalidFile(problems)
 
 
-def _problems(model: type[BaseModel], document: Document, error: ValidationError) -> Iterator[Problem]:
-    seen: set[tuple[Location, str]] = set()
+def _problems(model: type[BaseModel], document: Document, error: ValidationError) -> list[Problem]:
+    """Each mistake once, at its value; at its key if that is unknown."""
+    found: dict[tuple[Location, str], bool] = {}
     for item in error.errors(include_url=False):
         location = _in_data(document.data, item["loc"])
-        message, on_key = _sentence(model, item, location)
-        if (location, message) in seen:
-            continue
-        seen.add((location, message))
-        yield document.problem(location, message, key=on_key)
+        found.setdefault((location, _sentence(model, item, location)), item["type"] == "extra_forbidden")
+    return [document.problem(location, message, key=on_key) for (location, message), on_key in found.items()]
 
 
 def _in_data(data: Any, location: Location) -> Location:
@@ -310,36 +308,36 @@ def _in_data(data: Any, location: Location) -> Location:
             elif index < len(location) - 1:
                 continue
             found.append(part)
-        elif isinstance(data, list) and isinstance(part, int) and part < len(data):
+        elif _is_place(data, part):
             data = data[part]
             found.append(part)
     return tuple(found)
 
 
-def _sentence(model: type[BaseModel], item: Any, found: Location) -> tuple[str, bool]:
-    """What is wrong, and whether with the key; `found`: the location without the tags of unions."""
+def _sentence(model: type[BaseModel], item: Any, found: Location) -> str:
+    """What is wrong; `found`: the location without the tags of unions."""
     kind, location, value = item["type"], item["loc"], item.get("input")
     name = str(found[-1]) if found else ""
     context = item.get("ctx", {})
     if kind == "extra_forbidden":
         known = [key for owner in _models_at(model, location[:-1]) for key in _annotations(owner)]
-        return f'unknown key "{name}"{did_you_mean(name, known)}', True
+        return f'unknown key "{name}"{did_you_mean(name, known)}'
     if kind == "missing":
-        return f'"{name}" is missing', False
+        return f'"{name}" is missing'
     if kind == "value_error":
-        return str(context.get("error", item["msg"])), False
+        return str(context.get("error", item["msg"]))
     if kind in {"literal_error", "enum"}:
         options = [option.strip("' ") for option in str(context["expected"]).replace(" or ", ", ").split(",")]
-        return f'"{value}" is not known here{did_you_mean(str(value), options)}', False
+        return f'"{value}" is not known here{did_you_mean(str(value), options)}'
     if kind in {"union_tag_invalid", "union_tag_not_found"}:
         options = [tag.strip("' ") for tag in str(context.get("expected_tags", "")).split(",") if tag.strip()]
         wanted = str(context.get("tag", ""))
-        return f'"{wanted}" is not known here{did_you_mean(wanted, options)}' if wanted else item["msg"], False
+        return f'"{wanted}" is not known here{did_you_mean(wanted, options)}' if wanted else item["msg"]
     if kind in {"model_type", "model_attributes_type", "dict_type"}:
-        return f'"{name}" needs its own keys and values, not "{value}"', False
+        return f'"{name}" needs its own keys and values, not "{value}"'
     if kind in {"list_type", "tuple_type"}:
-        return f'"{name}" needs a list, for instance [{value}]', False
-    return _wrong_value(kind, value, item["msg"]), False
+        return f'"{name}" needs a list, for instance [{value}]'
+    return _wrong_value(kind, value, item["msg"])
 
 
 def _annotations(model: type[BaseModel]) -> dict[str, Any]:
@@ -401,11 +399,6 @@ def schema_of(alone: Sequence[str], of_a_muscle: Sequence[str]) -> dict[str, Any
     """The same as a JSON schema."""
     both = "|".join(f"{name}(_[1-{MUSCLES}])?" if name in of_a_muscle else name for name in alone)
     return {"type": "string", "pattern": f"^({both})$"}
-
-
-def _yaml_mistake(problem: str) -> str:
-    """What is wrong with a text that is no YAML."""
-    return next((words for begin, words in MISTAKES.items() if problem.startswith(begin)), problem)
 
 
 def _wrong_value(kind: str, value: object, message: str) -> str:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from math import nan
 from pathlib import Path
@@ -87,9 +88,8 @@ def read_table(path: Path) -> Table:
         hint = "; a decimal comma? write a point" if mark == "," and len(cells) > len(heads) else ""
         problem = f"{len(cells)} cells, {len(heads)} are expected as in the head{hint}"
         problems.append(Problem(str(path), number, 1, problem))
-    names = [head.text for head in heads]
     for place, head in enumerate(heads):
-        if head.text and head.text in names[:place]:
+        if head.text and any(head.text == before.text for before in heads[:place]):
             problems.append(Problem(str(path), head.line, head.column, f'a second column "{head.text}"'))
     if problems:
         raise InvalidFile(problems[:MOST_PROBLEMS])
@@ -155,11 +155,9 @@ def meaning(column: Column, wanted: Sequence[Wanted]) -> tuple[Wanted, str | Non
 
 
 def _is_unit(unit: str, quantity: str) -> bool:
-    try:
-        unit_scale(unit, quantity)
-    except ValueError:
-        return False
-    return True
+    with suppress(ValueError):
+        return bool(unit_scale(unit, quantity))
+    return False
 
 
 def unit_scale(unit: str | None, quantity: str) -> float:
@@ -186,22 +184,18 @@ def numbers(
     `check` returns what is wrong with a value [SI] in a column (by index); rows with a false `within` are left out.
     With `blank` an empty cell is NaN and its row is kept. Raises InvalidFile with every cell that is no number.
     """
-    problems: list[Problem] = []
-    wide: set[int] = set()
-    found: list[Array] = []
-    rows = len(table.columns[0].cells)
-    kept = [row for row in range(rows) if blank or all(column.cells[row].text for column, _, _ in columns)]
+    problems, wide, found = list[Problem](), set[int](), list[Array]()
+    rows = range(len(table.columns[0].cells))
+    kept = [row for row in rows if blank or all(column.cells[row].text for column, _, _ in columns)]
     for place, (column, quantity, unit) in enumerate(columns):
         try:
             scale = unit_scale(unit, quantity)
         except ValueError as error:
             problems.append(table.problem(column.head, f"{column.head.text}: {error}"))
             continue
-        values = np.empty(len(kept))
-        for at, row in enumerate(kept):
-            cell = column.cells[row]
+        values = np.full(len(kept), nan)
+        for at, cell in enumerate(column.cells[row] for row in kept):
             if not cell.text:
-                values[at] = nan
                 continue
             number = float(cell.text) * scale if _NUMBER.fullmatch(cell.text) else float("nan")
             wrong = "" if abs(number) < BEYOND else _no_number(cell.text)

@@ -55,11 +55,8 @@ def _found(folder: Path) -> Iterator[Path]:
         if files.is_run_name(place.name) and not any(Path(entry, ANALYSIS).exists() for entry in inside):
             yield place  # an emptied run folder; analyses of a run are in a folder of the same name
             continue
-        waiting += [
-            place / entry.name
-            for entry in inside
-            if not entry.name.startswith(".") and entry.name != ANALYSES and entry.is_dir(follow_symlinks=False)
-        ]
+        named = (entry for entry in inside if not entry.name.startswith(".") and entry.name != ANALYSES)
+        waiting += [place / entry.name for entry in named if entry.is_dir(follow_symlinks=False)]
 
 
 def tasks_below(given: Sequence[Path]) -> list[Task]:
@@ -158,8 +155,10 @@ def _read(folder: Path) -> Row:
     except InvalidFile:
         manifest, seal, status = {}, {}, "damaged"
     if seal is None:
-        found = files.journal_summary(manifest, files.decode_lines(_events(folder)), [])
-        size = 0
+        events, size = b"", 0
+        with suppress(InvalidFile):
+            events = files.read_file(folder, files.EVENTS) if files.is_regular(folder / files.EVENTS) else b""
+        found = files.journal_summary(manifest, files.decode_lines(events), [])
         with suppress(OSError):
             size = sum(path.stat().st_size for _name, path in files.files_of(folder) if files.is_regular(path))
     else:
@@ -168,7 +167,8 @@ def _read(folder: Path) -> Row:
         with suppress(OSError):
             size += (folder / files.SEAL).stat().st_size
     link = manifest.get("continues")
-    done = link.get("trials_done") if isinstance(link, Mapping) else None
+    link = link if isinstance(link, Mapping) else {}
+    done = link.get("trials_done")
     names: list[str] = []
     with suppress(OSError):
         names = [entry.name for entry in added(folder, seal)] if seal else []
@@ -187,16 +187,10 @@ def _read(folder: Path) -> Row:
         trials_planned=int(found.get("trials_planned") or 0),
         duration=found.get("duration"),
         size=size,
-        continues=str(link.get("run") or "") if isinstance(link, Mapping) else "",
+        continues=str(link.get("run") or ""),
         added=tuple(names),
         late=tuple(late_files(folder)) if seal else (),
     )
-
-
-def _events(folder: Path) -> bytes:
-    with suppress(InvalidFile):
-        return files.read_file(folder, files.EVENTS) if files.is_regular(folder / files.EVENTS) else b""
-    return b""
 
 
 def _label(value: Any) -> str:

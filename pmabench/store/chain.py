@@ -121,9 +121,8 @@ def _linked(path: Path, link: Any) -> Path:
     try:
         name, digest = str(link["run"]), str(link["sha256"])
     except (TypeError, KeyError) as error:
-        raise invalid(
-            path / files.MANIFEST, "does not say which run it continues (`continues`: run, sha256)"
-        ) from error
+        text = "does not say which run it continues (`continues`: run, sha256)"
+        raise invalid(path / files.MANIFEST, text) from error
     for folder in files.next_to(path, name):
         if not is_regular(folder / files.SEAL) or sha256_of(folder / files.SEAL) != digest:
             raise invalid(folder, f"was not closed as it was when {path.name} continued it: its seal is another one")
@@ -133,11 +132,8 @@ def _linked(path: Path, link: Any) -> Path:
 
 def _fits(before: Sequence[RunData], run: RunData) -> None:
     last, path = before[-1], Path(run.path) / files.MANIFEST
-    for what, then, now in (
-        ("kind", last.kind, run.kind),
-        ("simulated", last.simulated, run.simulated),
-        ("rate", last.rate, run.rate),
-    ):
+    for what in ("kind", "simulated", "rate"):
+        then, now = getattr(last, what), getattr(run, what)
         if then != now and (what != "rate" or (then and now)):
             raise invalid(path, f"does not fit the run that it continues: {what} is {now}, there {then}")
     found = run.manifest["continues"].get("trials_done")
@@ -149,9 +145,8 @@ def _fits(before: Sequence[RunData], run: RunData) -> None:
     points = {trial.index: (trial.point, trial.repeat) for earlier in before for trial in earlier.trials}
     for trial in run.trials:
         if trial.index in points and points[trial.index] != (trial.point, trial.repeat):
-            raise invalid(
-                path, f"does not fit: its trial {trial.number} is another one than in the run that it continues"
-            )
+            text = f"does not fit: its trial {trial.number} is another one than in the run that it continues"
+            raise invalid(path, text)
 
 
 def _superseded(runs: Sequence[RunData]) -> tuple[RunData, ...]:

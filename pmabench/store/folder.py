@@ -230,10 +230,8 @@ def read_manifest(folder: Path) -> dict[str, Any]:
         raise invalid(folder, f"is not a run folder: {why}")
     raw = read_file(folder, MANIFEST, LARGEST)
     newer = re.search(rb'^ "schema": "pmabench\.run/(\d+)"', raw, re.MULTILINE)
-    if newer and int(newer[1]) > 1:
-        raise invalid(
-            folder, f"was written by a newer pmabench (pmabench.run/{int(newer[1])}); this one reads {RUN_SCHEMA}"
-        )
+    if newer and (version := int(newer[1])) > 1:
+        raise invalid(folder, f"was written by a newer pmabench (pmabench.run/{version}); this one reads {RUN_SCHEMA}")
     manifest = open_json(raw, folder / MANIFEST)
     if manifest.get("schema") != RUN_SCHEMA:
         raise invalid(folder / MANIFEST, f"has the schema {manifest.get('schema')!r}, not {RUN_SCHEMA}")
@@ -278,9 +276,8 @@ def this_process() -> dict[str, Any]:
 
 
 def _alive(writer: Mapping[str, Any]) -> bool:
-    fields = _process(writer.get("pid"))
-    same = fields is not None and fields[1] == writer.get("started") and _boot() == writer.get("boot")
-    return same and fields is not None and fields[0] not in "ZX"
+    state, started = _process(writer.get("pid")) or ("X", 0)
+    return state not in "ZX" and started == writer.get("started") and _boot() == writer.get("boot")
 
 
 def _process(pid: object) -> tuple[str, int] | None:

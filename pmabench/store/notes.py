@@ -14,7 +14,7 @@ import secrets
 import shutil
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -194,12 +194,9 @@ def _look(run: Path) -> tuple[tuple[Note, ...], list[tuple[str, str]], str]:
 
     Files that were put among the notes are not faults: `pmabench.store.since` reports them.
     """
-    notes: list[Note] = []
-    faults: list[tuple[str, str]] = []
-    try:
+    notes, faults, last = list[Note](), list[tuple[str, str]](), ""
+    with suppress(InvalidFile):
         last = hashlib.sha256(files.read_file(run, files.MANIFEST, files.LARGEST)).hexdigest()
-    except InvalidFile:
-        last = ""
     chain = [last]
     for number, name in enumerate(_folders(run), start=1):
         place = f"{files.NOTES}/{name}"
@@ -238,8 +235,7 @@ def _attached(run: Path, place: str, entries: Sequence[Mapping[str, Any]]) -> It
     for entry in entries:
         name = f"{place}/{entry['name']}"
         there = files.is_regular(run / name)
-        fault = files.fault_of(run, name, entry["sha256"], entry.get("bytes", -1)) if there else "is missing"
-        if fault:
+        if fault := files.fault_of(run, name, entry["sha256"], entry.get("bytes", -1)) if there else "is missing":
             yield name, fault
 
 

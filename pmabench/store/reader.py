@@ -123,15 +123,12 @@ def read_stream(path: Path | str, name: str = "", raw: bool = False) -> pd.DataF
     if not names or (name and name not in names):
         raise invalid(path, f'has no stream "{name}"; it has: {", ".join(names) or "none"}')
     samples = folder.stream(name or names[0], events_of(folder.journal()))
-    columns: dict[str, NDArray[Any]]
     if raw:
-        columns = {name: _whole(samples.table.column(name)) for name in samples.table.column_names}
-        units = {TIME: "ns", **samples.raw_units}
+        frame = pd.DataFrame({name: _whole(samples.table.column(name)) for name in samples.table.column_names})
+        frame.attrs["units"] = {TIME: "ns", **samples.raw_units}
     else:
-        columns = {"t": samples.t, **samples.channels, FLAGS: samples.flags}
-        units = {"t": "s", **{info.name: info.unit for info in samples.infos.values()}}
-    frame = pd.DataFrame(columns)
-    frame.attrs["units"] = units
+        frame = pd.DataFrame({"t": samples.t, **samples.channels, FLAGS: samples.flags})
+        frame.attrs["units"] = {"t": "s", **{info.name: info.unit for info in samples.infos.values()}}
     return frame
 
 
@@ -168,7 +165,7 @@ class RunFiles:
 
     def __init__(self, path: Path, anew: Recalibration | None = None) -> None:
         self.path = path
-        self.anew = anew
+        self.anew = anew or Recalibration()
         self.lines: dict[str, Line] = {}
         """Channel -> conversion from the old to the new scale, for the streams read so far."""
         self.manifest = read_manifest(path)
@@ -250,8 +247,6 @@ class RunFiles:
                 whole = sealed and not found.get("fault")
             device = self.manifest.get("devices", {}).get(name, {})
             clock = _clock(name, events, arrivals, own=device.get("clock", "own") == "own")
-            if self.anew is None:
-                return _in_si(table, about, clock, whole)
             changed, lines = self.anew.columns(about, self.path)
             self.lines |= lines
             return self.anew.moved(_in_si(table, changed, clock, whole))
@@ -368,14 +363,11 @@ class Recalibration:
             if new is None:
                 columns.append(column)
                 continue
-            for what, is_, wanted in (
-                ("measures", column.get("quantity"), new.quantity),
-                ("gives readings in", column.get("raw_unit"), new.raw_unit),
-            ):
-                if is_ != wanted:
+            more = "; where the unit of an import was wrong, write the right one into its map, and import again"
+            for what, key, hint in (("measures", "quantity", ""), ("gives readings in", "raw_unit", more)):
+                if (is_ := column.get(key)) != (wanted := getattr(new, key)):
                     text = f"{column['name']} {what} {is_ or 'nothing that is known'}, the calibration is of {wanted}"
-                    more = "; where the unit of an import was wrong, write the right one into its map, and import again"
-                    raise invalid(path, text + more * (what == "gives readings in"))
+                    raise invalid(path, text + hint)
             old = column.get("scale") or {}
             slope, offset = float(old.get("slope", 1.0)), float(old.get("offset", 0.0))
             factor = new.slope / slope
@@ -409,15 +401,10 @@ def refound(trials: Sequence[TrialData], lines: Mapping[str, Line]) -> tuple[Tri
     def one(name: str, value: Any) -> Any:
         return lines[name][0] * value + lines[name][1] if name in lines and is_number(value) else value
 
-    return tuple(
-        replace(
-            trial,
-            found={
-                phase: {name: one(name, value) for name, value in found.items()} for phase, found in trial.found.items()
-            },
-        )
-        for trial in trials
-    )
+    def of_trial(trial: TrialData) -> dict[str, Mapping[str, Any]]:
+        return {phase: {name: one(name, value) for name, value in at.items()} for phase, at in trial.found.items()}
+
+    return tuple(replace(trial, found=of_trial(trial)) for trial in trials)
 
 
 def channel_for(runs: Sequence[RunData], quantity: str, name: str = "") -> str:
@@ -425,12 +412,8 @@ def channel_for(runs: Sequence[RunData], quantity: str, name: str = "") -> str:
 
     Raises UsageError where there is none or more than one.
     """
-    names = {
-        channel.name
-        for run in runs
-        for channel in run.channels.values()
-        if channel.quantity == quantity and not channel.name.endswith("_command")
-    }
+    every = {channel for run in runs for channel in run.channels.values() if channel.quantity == quantity}
+    names = {channel.name for channel in every if not channel.name.endswith("_command")}
     if name and any(name in run.channels for run in runs):
         return name
     found = ", ".join(sorted(names)) or "none"
@@ -446,10 +429,6 @@ def refuse_loops(runs: Sequence[RunData], loops: Collection[str]) -> None:
 
     `loops`: kinds of test whose loop acts on calibrated values.
     """
-    problems: list[Problem] = []
-    for run in runs:
-        if run.kind in loops:
-            what = f"is of kind {run.kind}: its loop acted on the old values; another calibration needs a new run"
-            problems.extend(invalid(run.path, what).problems)
-    if problems:
+    what = "is of kind {}: its loop acted on the old values; another calibration needs a new run".format
+    if problems := [Problem(run.path, 0, 0, what(run.kind)) for run in runs if run.kind in loops]:
         raise InvalidFile(problems)

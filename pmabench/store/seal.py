@@ -100,9 +100,8 @@ def _tables(batches: Iterable[Any], schema: Any) -> Iterator[Any]:
 
 def _digest(table: Any) -> bytes:
     digest = hashlib.sha256()
-    for column in table.columns:
-        for chunk in column.chunks:
-            digest.update(raw_bytes(chunk))
+    for chunk in (chunk for column in table.columns for chunk in column.chunks):
+        digest.update(raw_bytes(chunk))
     return digest.digest()
 
 

@@ -154,12 +154,11 @@ def adopt(folder: Path) -> None:
         return
     with open_regular(late / files.GUARD) as file:
         raw = file.read(LONGEST + 1)
-    if len(raw) > LONGEST:
-        return
-    files.write_whole(folder / files.GUARD, raw)
-    with suppress(OSError):  # harmless: it is then in both places
-        (late / files.GUARD).unlink()
-        late.rmdir()
+    if len(raw) <= LONGEST:
+        files.write_whole(folder / files.GUARD, raw)
+        with suppress(OSError):  # harmless: it is then in both places
+            (late / files.GUARD).unlink()
+            late.rmdir()
 
 
 def added(folder: Path, seal: Mapping[str, Any]) -> Iterator[Added]:
@@ -243,11 +242,10 @@ def fingerprint(chain: Iterable[Path], about: str) -> str:
 def stamp(folder: Path) -> str:
     """Hash of the names, sizes and modification times of all files of a folder; empty if it cannot be read."""
     digest = hashlib.sha256()
-    try:
+    with suppress(OSError):
         _take(digest, folder)
-    except OSError:
-        return ""
-    return digest.hexdigest()
+        return digest.hexdigest()
+    return ""
 
 
 def _take(digest: hashlib._Hash, folder: Path, read: Collection[str] = ()) -> set[str]:

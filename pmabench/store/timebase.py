@@ -141,12 +141,8 @@ def _turn(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]
 def _shortest(x: Array, delay: Array) -> Array:
     """Shortest delay of each window with at least two points, and how much longer the next is; shape (m, 2)."""
     which = np.searchsorted(np.linspace(float(x.min()), float(x.max()), WINDOWS + 1)[1:-1], x)
-    found = []
-    for number in range(WINDOWS):
-        inside = np.sort(delay[which == number])
-        if len(inside) > 1:
-            found.append((inside[0], inside[1] - inside[0]))
-    return np.array(found).reshape(-1, 2)
+    windows = (np.sort(delay[which == number]) for number in range(WINDOWS))
+    return np.array([(inside[0], inside[1] - inside[0]) for inside in windows if len(inside) > 1]).reshape(-1, 2)
 
 
 @dataclass(frozen=True)

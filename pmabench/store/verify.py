@@ -151,8 +151,7 @@ def _time(folder: Path) -> list[Finding]:
         inside = np.zeros(len(step), dtype=bool)
         for begin, end in trial_spans(events):
             inside |= (samples.t[:-1] >= begin - 1e-6) & (samples.t[1:] <= end + 1e-6)
-        for index in np.flatnonzero(odd & inside)[:20]:
-            what = f"{step[index]:.6g} s without a sample" if step[index] > 0 else "time does not go on"
-            message = f"{what} after t = {samples.t[index]:.6g} s, and no flag says so"
-            found.append(Finding(f"{files.STREAMS}/{name}", message))
+        for at, gap in zip(samples.t[:-1][odd & inside][:20], step[odd & inside][:20], strict=True):
+            what = f"{gap:.6g} s without a sample" if gap > 0 else "time does not go on"
+            found.append(Finding(f"{files.STREAMS}/{name}", f"{what} after t = {at:.6g} s, and no flag says so"))
     return found

@@ -66,7 +66,7 @@ def test_what_each_column_of_files_without_names_is_must_be_answered(tmp_path, l
     assert [column.name for column in guess.columns if "some files lack it: add optional: true" in column.question] == [
         "column 4"
     ]
-    assert set(guess.forms) == {"10mm_13cm_Unkinked_Test{test}", "10mm_13cm_Kinked{contraction}mm_Test{test}"}
+    assert set(guess.names.forms) == {"10mm_13cm_Unkinked_Test{test}", "10mm_13cm_Kinked{contraction}mm_Test{test}"}
     path = written(tmp_path, guess)
     answers = {
         "kind": "isometric",

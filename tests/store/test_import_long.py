@@ -95,7 +95,7 @@ def test_columns_come_back_from_disk_as_they_were_put(monkeypatch):
         columns = table.Columns()
         for piece in pieces:
             columns.append(piece)
-        assert bool(columns._files) == (kept == 1000)
+        assert {file._rolled for file in columns._files.values()} == {kept == 1000}
         assert (columns.rows, list(columns)) == (982, ["a", "b"])
         for name in ("a", "b"):
             expected = np.concatenate([piece[name] for piece in pieces])

@@ -50,6 +50,14 @@ def test_a_cut_wire_is_a_dropout_and_not_out_of_range():
     assert "0 mA" in finding.text
 
 
+def test_codes_next_to_each_other_are_all_recognised():
+    """The samples of one code are no neighbours for the next one: 0 lies between -999 and readings of 8 mA."""
+    t, raw = clean()
+    raw[100:102] = -999.0, 0.0
+    flags, _ = look(t, raw)
+    assert flagged(flags, Flag.DROPOUT) == [100, 101]
+
+
 def test_gaps_are_not_closed():
     t, raw = clean()
     t[200:] += 8.0

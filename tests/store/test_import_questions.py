@@ -194,7 +194,7 @@ def test_usual_names_are_not(tmp_path, names):
     files = [file(tmp_path / f"{name}.csv", {"t [s]": T, "P [kPa]": P, "F [N]": F}) for name in names]
     guess = guess_files(files)
     assert not [each for each in questions_of(Document("map.yaml", map_text(guess))) if "name" in each.what]
-    assert set(guess.form_units) == {"contraction"}
+    assert set(guess.names.units) == {"contraction"}
 
 
 def test_the_contraction_that_no_name_shows_is_asked_for(tmp_path):

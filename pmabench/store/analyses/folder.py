@@ -114,13 +114,8 @@ _RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
 def file_names(names: Iterator[str] | list[str]) -> list[str]:
     """A file name for each trace: legal on every system, and unique even if upper and lower case are the same."""
     taken: set[str] = set()
-    result = []
-    for name in names:
-        stem = re.sub(r"[^A-Za-z0-9._-]+", "-", name)[:100].strip("-.") or "trace"
-        if _RESERVED.fullmatch(stem):
-            stem = f"trace-{stem}"
-        result.append(unused(stem, taken))
-    return result
+    stems = (re.sub(r"[^A-Za-z0-9._-]+", "-", name)[:100].strip("-.") or "trace" for name in names)
+    return [unused(f"trace-{stem}" if _RESERVED.fullmatch(stem) else stem, taken) for stem in stems]
 
 
 def write_analysis(analysis: Analysis, folder: Path) -> Path:
@@ -132,12 +127,9 @@ def write_analysis(analysis: Analysis, folder: Path) -> Path:
         (folder / TRACES).mkdir(parents=True, exist_ok=True)
         for old in (folder / TRACES).glob("*.parquet"):
             old.unlink()
-        data = analysis.to_dict()
-        for entry, trace, name in zip(
-            data["traces"], analysis.traces, file_names([trace.name for trace in analysis.traces]), strict=True
-        ):
-            entry["file"] = f"{TRACES}/{name}.parquet"
-            entry["columns"] = list(trace.columns)
+        data, names = analysis.to_dict(), file_names([trace.name for trace in analysis.traces])
+        for entry, trace, name in zip(data["traces"], analysis.traces, names, strict=True):
+            entry |= {"file": f"{TRACES}/{name}.parquet", "columns": list(trace.columns)}
             _write_trace(trace, folder / entry["file"])
         (folder / ANALYSIS).write_bytes(in_lines(plain(data)).encode())
     except OSError as error:
@@ -149,10 +141,8 @@ def in_lines(data: Mapping[str, Any]) -> str:
     """JSON with a line for each entry and for each item of a list entry; `indent` would be ten times slower."""
     text = json.JSONEncoder(sort_keys=True, ensure_ascii=False, allow_nan=False).encode
     lists = {key: ",\n  ".join(map(text, value)) for key, value in data.items() if isinstance(value, list) and value}
-    entries = [
-        f"{text(key)}: [\n  {lists[key]}\n ]" if key in lists else f"{text(key)}: {text(value)}"
-        for key, value in sorted(data.items())
-    ]
+    values = {key: f"[\n  {lists[key]}\n ]" if key in lists else text(value) for key, value in data.items()}
+    entries = [f"{text(key)}: {value}" for key, value in sorted(values.items())]
     return "{\n " + ",\n ".join(entries) + "\n}\n"
 
 

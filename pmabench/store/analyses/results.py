@@ -379,10 +379,7 @@ class Analysis:
             "curves": [{**vars(c), "terms": [term.to_dict() for term in c.terms]} for c in self.curves],
             "dropped": [dict(vars(d)) for d in self.dropped],
             "findings": [dict(vars(f)) for f in self.findings],
-            "traces": [
-                {key: value for key, value in vars(trace).items() if key not in ("columns", "published")}
-                for trace in self.traces
-            ],
+            "traces": [{k: v for k, v in vars(t).items() if k not in ("columns", "published")} for t in self.traces],
             "facts": dict(self.facts),
             "refusals": list(self.refusals),
             "results": [dict(vars(result)) for result in self.results],
@@ -404,17 +401,12 @@ def check_declared(
     symbols += [symbol for c in curves for symbol in (c.symbol, *(term.symbol for term in c.terms))]
     missing = [symbol for symbol in dict.fromkeys(symbols) if symbol not in known]
     if missing:
-        raise ValueError(
-            f"{kind}: not declared: {', '.join(missing)}; declared are {', '.join(known)}. Add the result to the "
-            "record of this kind of test, with title, quantity and whether it is a headline"
-        )
+        text = f"{kind}: not declared: {', '.join(missing)}; declared are {', '.join(known)}. Add the result to the "
+        raise ValueError(f"{text}record of this kind of test, with title, quantity and whether it is a headline")
     for e in estimates:
-        if e.quantity in QUANTITIES and e.unit != QUANTITIES[e.quantity].unit:
-            right = QUANTITIES[e.quantity].unit
+        if e.quantity in QUANTITIES and e.unit != (right := QUANTITIES[e.quantity].unit):
             raise ValueError(f"{kind}: {e.symbol} is given in {e.unit}; a {e.quantity} is in {right}")
         wanted = known[e.symbol]
         if not e.coordinate and (e.quantity, e.unit if wanted.unit else "") != (wanted.quantity, wanted.unit):
-            declaration = wanted.quantity or wanted.unit
-            raise ValueError(
-                f"{kind}: {e.symbol} is declared as {declaration}, and was given as {e.quantity or e.unit}"
-            )
+            given = f"declared as {wanted.quantity or wanted.unit}, and was given as {e.quantity or e.unit}"
+            raise ValueError(f"{kind}: {e.symbol} is {given}")

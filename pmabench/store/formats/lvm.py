@@ -7,9 +7,11 @@ then segments, each with its header, a line of names, and rows.
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
+from itertools import islice
 from typing import Literal
 
 import numpy as np
@@ -28,6 +30,7 @@ KEYS = {
 SHOWN = 10
 MAX_CHANNELS = 500
 NO_NUMBER = {"nan": np.nan, "inf": np.inf, "+inf": np.inf, "-inf": -np.inf, "": np.nan}
+_EXCHANGED = str.maketrans(",.", ".?")
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?")
 
 
@@ -72,9 +75,8 @@ class _File:
     def _separator(self) -> str:
         for number, line in enumerate(self.lines[:50], 1):
             if line.startswith("Separator"):
-                mark, word = line[9:10], line[10:].strip()
-                if (mark, word) in {("\t", "Tab"), (",", "Comma")}:
-                    return mark
+                if (line[9:10], line[10:].strip()) in {("\t", "Tab"), (",", "Comma")}:
+                    return line[9:10]
                 raise invalid(self.path, "says a separator that is neither Tab nor Comma", number, 1)
         raise invalid(self.path, "is no LVM file: its header has no line that begins with Separator", 1, 1)
 
@@ -94,7 +96,7 @@ class _File:
 
     def width(self, segment: _Segment) -> int:
         """Number of columns of a row."""
-        return len(segment.names) * 2 if self.x == "Multi" else len(segment.names) + 1
+        return len(segment.names) * self.step + (self.x != "Multi")
 
 
 def read_lvm(
@@ -117,12 +119,12 @@ def read_lvm(
     recorded = Recorded([], _started(first, file.keys), first.first, not file.ends)
     _drop_cut_row(file, segments[-1], recorded)
     tables = [_numbers(file, segment) for segment in segments]
-    xs = _abscissae(file, segments, tables)
+    recorded.columns.append(_abscissa(file, segments, tables))
     units = first.keys.get("Y_Unit_Label", [])
-    recorded.columns += xs
-    for index, name in enumerate(first.names):
-        values = np.concatenate([table[:, 1 + index * file.step] for table in tables])
-        recorded.columns.append(Column(name, values, units[index] if len(units) == len(first.names) else ""))
+    units = units if len(units) == len(first.names) else [""] * len(first.names)
+    for place, (name, unit) in enumerate(zip(first.names, units, strict=True)):
+        values = np.concatenate([table[:, 1 + place * file.step] for table in tables])
+        recorded.columns.append(Column(name, values, unit))
     for number, (segment, table) in enumerate(zip(segments, tables, strict=True), 1):
         said = max(map(_whole, segment.keys.get("Samples", [])), default=len(table))
         if file.multi and said != len(table):
@@ -137,9 +139,8 @@ def _drop_cut_row(file: _File, segment: _Segment, recorded: Recorded) -> None:
     if not file.ends and len(segment.rows) > 1 and len(segment.rows[-1][1]) < width:
         number, fields = segment.rows.pop()
         recorded.cut_end = False
-        recorded.doubts.append(
-            f"the last row is cut off, in line {number}: {len(fields)} of {width} columns; it was left out"
-        )
+        text = f"the last row is cut off, in line {number}: {len(fields)} of {width} columns; it was left out"
+        recorded.doubts.append(text)
 
 
 def _whole(text: str) -> int:
@@ -190,41 +191,36 @@ def _numbers(file: _File, segment: _Segment) -> Array:
     """Numbers of all rows, shape (rows, columns), without a comment at the end of a row."""
     width = file.width(segment)
     table = np.full((len(segment.rows), width), np.nan)
-    problems: list[Problem] = []
     comma = file.decimal == ","
     if not file.decimal and file.separator != "," and segment.rows:
         comma = any("," in text for text in segment.rows[0][1][:width])
-    for index, (number, fields) in enumerate(segment.rows):
-        if not width <= len(fields) <= width + 1:
-            last = number == len(file.lines)
-            text = f"has {len(fields)} columns, {width} are expected"
-            if last and len(fields) < width:
-                text = f"the last row is cut off: {len(fields)} of {width} columns"
-            problems.append(Problem(file.path, number, 1, text))
-        else:
-            for place, text in enumerate(fields[:width]):
+
+    def faults() -> Iterator[Problem]:
+        for row, (number, fields) in zip(table, segment.rows, strict=True):
+            if not width <= len(fields) <= width + 1:
+                cut = number == len(file.lines) and len(fields) < width
+                text = f"the last row is cut off: {len(fields)} of {width} columns" if cut else ""
+                yield Problem(file.path, number, 1, text or f"has {len(fields)} columns, {width} are expected")
+                continue
+            for place, text in enumerate(map(str.strip, fields[:width])):
                 try:
-                    table[index, place] = _number(text.strip(), comma)
+                    row[place] = _number(text, comma)
                 except ValueError:
-                    shown = text.strip()[:40]
-                    problems.append(Problem(file.path, number, 1, f'"{shown}" is no number, in column {place + 1}'))
-        if len(problems) >= SHOWN:
-            break
-    if problems:
-        raise InvalidFile(problems[:SHOWN])
+                    yield Problem(file.path, number, 1, f'"{text[:40]}" is no number, in column {place + 1}')
+
+    if problems := list(islice(faults(), SHOWN)):
+        raise InvalidFile(problems)
     return table
 
 
 def _number(text: str, comma: bool) -> float:
-    plain = text
-    if comma:
-        plain = "?" if "." in text else text.replace(",", ".")
-    if _NUMBER.fullmatch(plain) is not None:
-        return float(plain)
-    return NO_NUMBER[text.lower()] if text.lower() in NO_NUMBER else float("?")
+    if (known := NO_NUMBER.get(text.lower())) is not None:
+        return known
+    plain = text.translate(_EXCHANGED) if comma else text
+    return float(plain if _NUMBER.fullmatch(plain) else "?")
 
 
-def _abscissae(file: _File, segments: Sequence[_Segment], tables: Sequence[Array]) -> list[Column]:
+def _abscissa(file: _File, segments: Sequence[_Segment], tables: Sequence[Array]) -> Column:
     """The column X_Value, from the file or from X0 and Delta_X, shifted by the start time of each segment."""
     times = [_started(segment, file.keys) for segment in segments]
     parts: list[Array] = []
@@ -238,15 +234,14 @@ def _abscissae(file: _File, segments: Sequence[_Segment], tables: Sequence[Array
                 raise invalid(file.path, "has no X, and Delta_X is not above 0", segment.first, 1)
             x = (begin[0] if begin else 0.0) + np.arange(len(table)) * steps[0]
         else:
-            x = table[:, 0]
-            if file.x == "Multi":
-                others = table[:, 2::2]
-                if not np.array_equal(others, np.broadcast_to(x[:, None], others.shape), equal_nan=True):
-                    raise invalid(file.path, "its channels have different X", segment.first, 1)
+            x, others = table[:, 0], table[:, 2::2]
+            same = np.array_equal(others, np.broadcast_to(x[:, None], others.shape), equal_nan=True)
+            if file.x == "Multi" and not same:
+                raise invalid(file.path, "its channels have different X", segment.first, 1)
         _together(file, segment, float(np.median(np.diff(x))) if len(x) > 1 else 0.0)
         parts.append(np.asarray(x + later, dtype=np.float64))
     unit = segments[0].keys.get("X_Dimension", ["Time"])
-    return [Column("X_Value", np.concatenate(parts), "s" if unit and unit[0] == "Time" else "")]
+    return Column("X_Value", np.concatenate(parts), "s" if unit[:1] == ["Time"] else "")
 
 
 def _together(file: _File, segment: _Segment, step: float) -> None:
@@ -277,11 +272,10 @@ def _started(segment: _Segment, header: dict[str, str], channel: int = 0) -> dat
     times = segment.keys.get("Time") or [header.get("Time", "")]
     date, time = dates[min(channel, len(dates) - 1)], times[min(channel, len(times) - 1)]
     whole, _, part = time.replace(",", ".").partition(".")
-    try:
+    with suppress(ValueError):
         begin = datetime.strptime(f"{date} {whole}", "%Y/%m/%d %H:%M:%S")  # local, zone unknown
-    except ValueError:
-        return None
-    return begin + timedelta(seconds=float(f"0.{part}") if part.isdecimal() else 0.0)
+        return begin + timedelta(seconds=float(f"0.{part}") if part.isdecimal() else 0.0)
+    return None
 
 
 def _as_one(columns: Mapping[str, Array]) -> dict[str, str]:

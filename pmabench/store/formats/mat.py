@@ -27,8 +27,7 @@ _MATRIX = re.compile(r"(.+)\(:,(\d+)\)")
 
 def matrix_of(name: str) -> str:
     """The matrix that a column belongs to; empty where it is a vector."""
-    match = _MATRIX.fullmatch(name)
-    return match[1] if match else ""
+    return match[1] if (match := _MATRIX.fullmatch(name)) else ""
 
 
 def is_clock(values: Array) -> bool:
@@ -41,11 +40,12 @@ def is_clock(values: Array) -> bool:
 
 def together(columns: Mapping[str, Array]) -> dict[str, str]:
     """Column -> matrix or struct with whose clock it was sampled; empty for the clock of the whole file."""
-    clocks = {(place, len(columns[name])) for name in columns if is_clock(columns[name]) for place in _places(name)[:1]}
-    return {
-        name: next((place for place in _places(name) if (place, len(values)) in clocks), "")
-        for name, values in columns.items()
-    }
+    clocks = {(_places(name)[0], len(values)) for name, values in columns.items() if is_clock(values)}
+
+    def shared(name: str, rows: int) -> str:
+        return next((place for place in _places(name) if (place, rows) in clocks), "")
+
+    return {name: shared(name, len(values)) for name, values in columns.items()}
 
 
 def _places(name: str) -> list[str]:

@@ -40,9 +40,8 @@ def read_tdms(path: str, content: bytes, layout: TdmsLayout | None, only: Collec
             recorded.cut_end = True
             recorded.doubts.append("the last segment is incomplete: the recording was cut off")
         if ends is not None and ends != len(content):
-            recorded.doubts.append(
-                f"the segments end at byte {ends}, the file at byte {len(content)}: bytes were lost or put in"
-            )
+            text = f"the segments end at byte {ends}, the file at byte {len(content)}: bytes were lost or put in"
+            recorded.doubts.append(text)
         for group in file.groups():
             _group(path, recorded, group, only)
         return recorded
@@ -115,9 +114,7 @@ def _group(path: str, recorded: Recorded, group: Any, only: Collection[str] | No
             recorded.columns.append(Column(name, column, unit if isinstance(unit, str) else ""))
     name = f"{group.name}/{TIME}"
     apart = max(starts, default=0.0) - min(starts, default=0.0)
-    if len(times) != 1:
-        return
-    step, count = times.pop()
+    step, count = times.pop() if len(times) == 1 else (0.0, 0)
     if not (step > 0 and np.isfinite([step, *starts]).all()):
         return
     if apart > TOGETHER * step:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from itertools import pairwise
@@ -73,11 +74,10 @@ class TextLayout(Layout):
         if len(set(self.names)) != len(self.names):
             raise ValueError("two columns have the same name")
         if self.delimiter == "comma" and self.decimal == "comma" and not self.quoted:
-            raise ValueError(
-                'comma cannot be delimiter and decimal sign at once, but in quotation marks: "quoted: true"'
-            )
-        twice = self.thousands == self.decimal or (self.thousands == self.delimiter and not self.quoted)
-        if self.thousands is not None and twice:
+            text = "comma cannot be delimiter and decimal sign at once, but in quotation marks"
+            raise ValueError(f'{text}: "quoted: true"')
+        used = (self.decimal, *([] if self.quoted else [self.delimiter]))
+        if self.thousands in used:
             raise ValueError(f"{self.thousands} cannot be the sign of thousands and of something else at once")
         if self.header == "none" and (self.lines_below_header or self.repeated_header != "refuse"):
             raise ValueError('"lines_below_header" and "repeated_header" need "header: first line"')
@@ -142,11 +142,8 @@ def _seconds(text: str, kind: str, order: str, days: dict[str, float]) -> float:
         days[date] = date_seconds(date, order)
     if kind == "date":
         return days[date]
-    zone = _ZONE.search(clock)
-    late = 0.0
-    if zone is not None:
-        clock, sign = clock[: zone.start()], zone[1]
-        late = 0.0 if sign == "Z" else float(f"{sign[0]}1") * (3600 * int(sign[1:3]) + 60 * int(sign[-2:]))
+    clock, zone, _ = _ZONE.split(clock, 1) if _ZONE.search(clock) else (clock, "Z", "")
+    late = 0.0 if zone == "Z" else float(f"{zone[0]}1") * (3600 * int(zone[1:3]) + 60 * int(zone[-2:]))
     return days[date] + clock_seconds(clock) - late
 
 
@@ -234,10 +231,9 @@ class Clock:
         written = self.stamps.written
         if written == "clock" and not self.stamps.date:
             return None
-        try:
+        with suppress(OverflowError, ValueError):
             return EPOCH + timedelta(seconds=ORIGINS.get(written, 0.0) + self._first * self._scale())
-        except (OverflowError, ValueError):
-            return None
+        return None
 
     def _past_midnight(self, values: Array) -> Array:
         """Add a day whenever the clock falls by more than half a day, which means midnight."""
@@ -258,12 +254,10 @@ def step_in(lines: Sequence[str]) -> tuple[float, float] | None:
         increment = next((k for k, name in enumerate(names) if _INCREMENT.fullmatch(name)), None)
         if start is None or increment is None or max(start, increment) >= len(numbers):
             continue
-        try:
+        with suppress(ValueError):
             found = float(numbers[start]), float(numbers[increment])
-        except ValueError:
-            continue
-        if np.isfinite(found).all() and found[1] > 0:
-            return found
+            if np.isfinite(found).all() and found[1] > 0:
+                return found
     return None
 
 

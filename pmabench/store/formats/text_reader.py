@@ -9,7 +9,10 @@ from __future__ import annotations
 import codecs
 import csv
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
+from io import IncrementalNewlineDecoder
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -61,7 +64,8 @@ class TextReader:
 
     def __post_init__(self) -> None:
         encoding = self.layout.encoding
-        self._decoder = codecs.getincrementaldecoder("utf-8-sig" if encoding == "utf-8" else encoding)()
+        decoder = codecs.getincrementaldecoder("utf-8-sig" if encoding == "utf-8" else encoding)()
+        self._decoder = IncrementalNewlineDecoder(decoder, translate=True)
         self._plain = encoding not in ("utf-16", "utf-16-le", "utf-16-be")
         self._begun = False
         """Whether anything but blanks was read."""
@@ -97,9 +101,7 @@ class TextReader:
     def _above(self) -> list[list[str]]:
         """Texts in the wanted columns of each line that is as wide as a row but none, such as a line of units."""
         plain = (line.lstrip().removeprefix(self.layout.comment or "").lstrip() for line in self.head)
-        cut = (next(csv.reader([line], delimiter=MARKS[self.layout.delimiter]), []) if self.layout.quoted
-               else self._split(line) for line in plain)  # fmt: skip
-        rows = ([text.strip().strip('"').strip() for text in fields] for fields in cut)
+        rows = ([text.strip().strip('"').strip() for text in self._cells(line)] for line in plain)
         at = [self._names.index(name) for name in self.taken]
         return [[row[k] for k in at] for row in rows if len(row) == len(self._names) and row != self._names]
 
@@ -108,9 +110,6 @@ class TextReader:
         self._rest += self._decoded(piece, last=False)
         if not self._begun:
             return self._none()
-        held = len(self._rest) - (1 if self._rest.endswith("\r") else 0)
-        if "\r" in self._rest:
-            self._rest = self._rest[:held].replace("\r\n", "\n").replace("\r", "\n") + self._rest[held:]
         end = self._rest.rfind("\n")
         end = self._rest.rfind("\n", 0, max(end, 0))
         if end < 0:
@@ -123,8 +122,7 @@ class TextReader:
     def end(self) -> Rows:
         """The last rows; raises InvalidFile where the file has no rows."""
         self._rest += self._decoded(b"", last=True)
-        block = self._rest.replace("\r\n", "\n").replace("\r", "\n")
-        self._rest = ""
+        block, self._rest = self._rest, ""
         if not self._begun and not block.strip():
             raise invalid(self.path, "is empty")
         self.cut_end = bool(block) and not block.endswith("\n")
@@ -142,12 +140,11 @@ class TextReader:
             self._no_rows()
         if self._zeros:
             text = f"the file ends with {self._zeros} bytes of zero, as after an interrupted write: rows may be missing"
-            self.cut_row = f"{self.cut_row}; {text}" if self.cut_row else text
+            self.cut_row = f"{self.cut_row}; {text}".removeprefix("; ")
         if not self._seen:
             raise invalid(self.path, "holds no data: all lines are blank, skipped or comments")
         if not self._rows:
-            at = max(self._line, 1)
-            raise invalid(self.path, self.cut_row or "holds a header and no data", at, 1)
+            raise invalid(self.path, self.cut_row or "holds a header and no data", max(self._line, 1), 1)
         return self.joined(parts)
 
     def joined(self, parts: Sequence[Rows]) -> Rows:
@@ -177,13 +174,12 @@ class TextReader:
 
     def _ends_badly(self, fields: Sequence[str]) -> bool:
         """Whether only the last field of a row is incomplete."""
-        try:
+        with suppress(ValueError):
             for name in self.taken:
                 if name != self._names[-1]:
                     self._fields_of.value(fields[self._names.index(name)], self.texts.get(name, ""))
-        except ValueError:
-            return False
-        return len(fields) == len(self._names)
+            return len(fields) == len(self._names)
+        return False
 
     def _decoded(self, piece: bytes, *, last: bool) -> str:
         if self._plain and (self._zeros or b"\0" in piece):
@@ -314,14 +310,12 @@ class TextReader:
         if table.num_rows != count:
             return None
         columns: dict[str, Array] = {}
-        for name in self.taken:
-            column = table.column(name)
+        for name, column in ((name, table.column(name)) for name in self.taken):
             if name in texts:
-                try:
+                with suppress(ValueError):
                     columns[name] = seconds_of(column.to_pylist(), texts[name], self.order)
-                except ValueError:
-                    return None
-                continue
+                    continue
+                return None
             values = np.concatenate([numbers(c.fill_null(np.nan) if c.null_count else c) for c in column.chunks])
             # words that Arrow takes for numbers ("nan", "inf") are neither finite nor missing
             if int(np.isfinite(values).sum()) + column.null_count != count:
@@ -333,9 +327,7 @@ class TextReader:
 
     def _by_lines(self, block: str) -> Rows:
         """The rows of a block that Arrow alone cannot read; raises InvalidFile with its faults and their lines."""
-        kept: list[str] = []
-        numbers: list[int] = []
-        starts: list[int] = []
+        kept, numbers, starts = list[str](), list[int](), list[int]()
         for line in block.removesuffix("\n").split("\n"):
             self._line += 1
             begun = bool(self._rows or kept) or self.layout.repeated_header != "refuse"
@@ -374,28 +366,24 @@ class TextReader:
 
         After such a line it is enough that the first column has no value, as in a table of means.
         """
-        layout = self.layout
-        fields = next(csv.reader([line], delimiter=MARKS[layout.delimiter])) if layout.quoted else self._split(line)
+        fields = self._cells(line)
         other = len(fields) != len(self._names)
-        if other and layout.repeated_header != "refuse":
+        if other and self.layout.repeated_header != "refuse":
             return True
         reads = (self._reads(name, fields) for name in sorted(self.taken, key=self._names.index))
         return not next(reads) and (other or bool(self._titles) or not any(reads))
 
     def _reads(self, name: str, fields: Sequence[str]) -> bool:
         """Whether a line has a finite value in a column."""
-        try:
-            value = self._fields_of.value(fields[self._names.index(name)], self.texts.get(name, ""))
-        except (ValueError, IndexError):
-            return False
-        return bool(np.isfinite(value))
+        with suppress(ValueError, IndexError):
+            return isfinite(self._fields_of.value(fields[self._names.index(name)], self.texts.get(name, "")))
+        return False
 
     def _no_rows(self) -> None:
         """Raise InvalidFile for lines that are not rows, because rows follow them or they are too many."""
-        numbers, lines = zip(*self._titles, strict=True)
         for number, line in self._titles:
             self._counts(line, number)
-        rows = [self._split(line) for line in lines]
+        numbers, rows = [number for number, _ in self._titles], [self._split(line) for _, line in self._titles]
         self._rectangular(rows, numbers)
         self._each(rows, numbers)
 
@@ -410,9 +398,12 @@ class TextReader:
         self._below = self.layout.lines_below_header
 
     def _split(self, line: str) -> list[str]:
-        if self.layout.delimiter == "blank":
-            return line.split()
-        return line.split(MARKS[self.layout.delimiter])
+        return line.split(MARKS.get(self.layout.delimiter))
+
+    def _cells(self, line: str) -> list[str]:
+        """Fields of a line, also where quotation marks are set wrongly."""
+        mark = MARKS.get(self.layout.delimiter, ",")
+        return next(csv.reader([line], delimiter=mark), []) if self.layout.quoted else self._split(line)
 
     def _fields(self, line: str, number: int) -> list[str]:
         """Fields of one line, without quotation marks where the map allows them."""
@@ -430,17 +421,13 @@ class TextReader:
     def _rectangular(self, rows: Sequence[Sequence[str]], numbers: Sequence[int]) -> None:
         """Raise InvalidFile where a row has another number of fields than there are names."""
         expected = len(self._names)
-        wrong = [index for index, row in enumerate(rows) if len(row) != expected]
-        if not wrong:
-            return
-        if len(wrong) == len(rows) and {len(row) for row in rows} == {1} and not self._rows:
-            delimiter = self.layout.delimiter
-            text = f"is not delimited by {delimiter}: the whole line is one column, {expected} are expected"
+        wrong = [(number, len(row)) for number, row in zip(numbers, rows, strict=True) if len(row) != expected]
+        if wrong and len(wrong) == len(rows) and {count for _, count in wrong} == {1} and not self._rows:
+            text = f"is not delimited by {self.layout.delimiter}: the whole line is one column, {expected} are expected"
             raise invalid(self.path, text, numbers[0], 1)
-        raise InvalidFile(
-            Problem(self.path, numbers[index], 1, f"has {len(rows[index])} columns, {expected} are expected")
-            for index in wrong[:SHOWN]
-        )
+        if wrong:
+            text = f"has {{}} columns, {expected} are expected"
+            raise InvalidFile(Problem(self.path, number, 1, text.format(count)) for number, count in wrong[:SHOWN])
 
     def _each(self, rows: Sequence[Sequence[str]], numbers: Sequence[int]) -> dict[str, Array]:
         """Convert every wanted field separately; raises InvalidFile with the first faults and their places."""
@@ -448,14 +435,13 @@ class TextReader:
         columns: dict[str, Array] = {}
         for name in self.taken:
             index = self._names.index(name)
-            fields = [row[index] for row in rows]
             values = np.empty(len(rows))
-            for at, text in enumerate(fields):
+            for at, row in enumerate(rows):
                 try:
-                    values[at] = self._fields_of.value(text, self.texts.get(name, ""))
+                    values[at] = self._fields_of.value(row[index], self.texts.get(name, ""))
                 except ValueError as error:
-                    column = 1 + sum(len(f) + 1 for f in rows[at][:index])
-                    shown = f'"{text.strip()[:40]}" {error}, in column "{name}"'
+                    shown = f'"{row[index].strip()[:40]}" {error}, in column "{name}"'
+                    column = 1 + sum(len(text) + 1 for text in row[:index])
                     problems.append(Problem(self.path, numbers[at], column, shown))
                     if len(problems) >= SHOWN:
                         break

@@ -120,11 +120,9 @@ class _Whole:
         has = {column.name: column for column in recorded.columns}
         names = [*(self.wanted or ()), *(name for name in self.optional if name in has)]
         if missing := [name for name in names if name not in has]:
-            there = [*has, *recorded.left_out]
-            raise InvalidFile(
-                Problem(self.path, 0, 0, f'has no column "{name}"{did_you_mean(name, there) or _some(there)}')
-                for name in missing
-            )
+            there, none = [*has, *recorded.left_out], "; it has no columns of numbers at all"
+            texts = (f'has no column "{name}"{did_you_mean(name, there) or none}' for name in missing)
+            raise InvalidFile(Problem(self.path, 0, 0, text) for text in texts)
         recorded.left_out += [name for name in has if name not in {*names, *self.ignored}]
         lengths = {name: len(has[name].values) for name in names}
         if len(set(lengths.values())) > 1:
@@ -134,13 +132,6 @@ class _Whole:
         if not any(lengths.values()):
             raise invalid(self.path, "holds no samples in the columns of the map")
         return [has[name] for name in names]
-
-
-def _some(names: list[str]) -> str:
-    if not names:
-        return "; it has no columns of numbers at all"
-    shown = ", ".join(f'"{name[:60]}"' for name in names[:8])
-    return f"; it has {shown}{' and others' if len(names) > 8 else ''}"
 
 
 def main() -> None:
@@ -289,12 +280,12 @@ def read_apart(kind: str, path: str, pieces: Iterable[bytes], question: Mapping[
 
 def _with_last(pieces: Iterable[bytes]) -> Iterator[tuple[bytes, bool]]:
     """Each piece, and whether it is the last."""
-    before: bytes | None = None
-    for piece in pieces:
-        if before is not None:
-            yield before, False
-        before = piece
-    yield before or b"", True
+    rest = iter(pieces)
+    piece = next(rest, b"")
+    for following in rest:
+        yield piece, False
+        piece = following
+    yield piece, True
 
 
 def _check(kind: str, path: str, head: Mapping[str, Any]) -> None:
@@ -303,16 +294,13 @@ def _check(kind: str, path: str, head: Mapping[str, Any]) -> None:
         package, why = formats()[kind].package, str(head["absent"])[:100]
         text = f"files of this kind are read with {package}, which is not installed ({why})"
         raise ReaderMissing(f'{path}: {text}: pip install "pmabench[import]"')
+    if head.get("lack") == "MemoryError":
+        text = f"needs more than {MEMORY / 1e9:g} GB of memory to be read; is it damaged? If not, part it"
+        raise invalid(path, text)
     if "lack" in head:
-        if head["lack"] == "MemoryError":
-            raise invalid(
-                path, f"needs more than {MEMORY / 1e9:g} GB of memory to be read; is it damaged? If not, part it"
-            )
         raise invalid(path, "is nested deeper than any file of measurements; it is damaged or hostile")
     if "problems" in head:
-        raise InvalidFile(
-            Problem(path, int(line), int(column), printable(text)) for line, column, text in head["problems"]
-        )
+        raise InvalidFile(Problem(path, int(line), int(at), printable(text)) for line, at, text in head["problems"])
 
 
 @contextmanager
@@ -320,8 +308,7 @@ def _asking(kind: str, path: str, size: int) -> Iterator[_Child]:
     """The child of a format; if it ends meanwhile, this is reported as a fault of the file."""
     child = _children.get(kind)
     if child is None or child.owner != os.getpid() or child.process.poll() is not None:
-        if child is not None and child.owner == os.getpid():
-            child.end()
+        close_readers(kind)
         child = _children[kind] = _Child(kind)
     try:
         yield child
@@ -346,9 +333,8 @@ def _why(code: int, size: int) -> str:
 
 
 @atexit.register
-def close_readers() -> None:
-    """End all children that this process started."""
-    for kind in list(_children):
-        child = _children.pop(kind)
+def close_readers(*kinds: str) -> None:
+    """End the children of these formats, or of all, that this process started."""
+    for child in [_children.pop(kind) for kind in kinds or list(_children) if kind in _children]:
         if child.owner == os.getpid():
             child.end()

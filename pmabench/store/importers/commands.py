@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from pmabench.base.kind import Commanded
-from pmabench.store.importers.motion import Wave, medians, turns, waves
+from pmabench.store.importers.motion import Wave, averaged, medians, turns, waves
 from pmabench.store.records import Array
 
 SMALLEST = {"pressure": 1e3, "displacement": 0.2e-3}
@@ -78,10 +78,18 @@ Named = tuple[list[dict[str, Any]], dict[str, float]]
 
 def driven_waves(how: Commanded, t: Array, channels: Mapping[str, Array], smallest: float | None = None) -> list[Wave]:
     """Sines of the commanded channel, or of the measured one if no command was recorded; see `commands_of`."""
+    channel = _channel(how, t, channels)
+    return waves(t, channels[channel], _least(how, smallest)) if how.sine and channel else []
+
+
+def _channel(how: Commanded, t: Array, channels: Mapping[str, Array]) -> str:
+    """The commanded channel, or the measured one if no command was recorded; empty where there are too few samples."""
     channel = f"{how.output}_command" if f"{how.output}_command" in channels else how.output
-    if not how.sine or channel not in channels or len(t) < 2 * MOVING_SAMPLES + 2:
-        return []
-    return waves(t, channels[channel], smallest if smallest and how.output == "pressure" else SMALLEST[how.output])
+    return channel if channel in channels and len(t) >= 2 * MOVING_SAMPLES + 2 else ""
+
+
+def _least(how: Commanded, smallest: float | None) -> float:
+    return smallest if smallest and how.output == "pressure" else SMALLEST[how.output]
 
 
 def commands_of(how: Commanded, t: Array, channels: Mapping[str, Array], smallest: float | None) -> Named:
@@ -89,13 +97,11 @@ def commands_of(how: Commanded, t: Array, channels: Mapping[str, Array], smalles
 
     `t` [s] increases; `channels` [SI] by name, shape (n,) each. `smallest` [Pa]: smallest step of pressure.
     """
-    channel = f"{how.output}_command" if f"{how.output}_command" in channels else how.output
-    if channel not in channels or len(t) < 2 * MOVING_SAMPLES + 2:
+    if not (channel := _channel(how, t, channels)):
         return [], {}
     measured = channel == how.output
-    least = smallest if smallest and how.output == "pressure" else SMALLEST[how.output]
     sines = driven_waves(how, t, channels, smallest)
-    found = [] if how.sine else changes(t, channels[channel], least, measured=measured)
+    found = [] if how.sine else changes(t, channels[channel], _least(how, smallest), measured=measured)
     if not found and not sines and not how.still:
         return [], {}
     seen = Seen(tuple(found), t, channels, max(sines, key=lambda wave: wave.end - wave.begin, default=None))
@@ -132,7 +138,7 @@ def changes(t: Array, values: Array, smallest: float, *, measured: bool = False)
     reach = max(MOVING_SAMPLES, round(MOVING / 2 / period))
     first: list[Change] | None = None
     while first is None or 2 * reach < len(values) * LONGEST:
-        even = _even(values, reach)
+        even = averaged(values, 2 * (reach // 2) + 1)  # so that noise alone does not look like a change
         least = max(smallest, ABOVE * _noise(even, reach), ABOVE_SPAN * float(np.ptp(even)))
         exact = values if ABOVE * _noise(values, reach) <= least else even  # averages cut off sharp turns
         travel = float(np.abs(np.diff(exact[turns(exact, least)])).sum())
@@ -144,12 +150,6 @@ def changes(t: Array, values: Array, smallest: float, *, measured: bool = False)
         first = found if first is None else first
         reach *= 2
     return first
-
-
-def _even(values: Array, reach: int) -> Array:
-    """Moving average over about `reach` samples, so that noise alone does not look like a change."""
-    width = 2 * (reach // 2) + 1
-    return np.convolve(np.pad(values, width // 2, mode="edge"), np.full(width, 1 / width), "valid")
 
 
 def _noise(values: Array, reach: int) -> float:
@@ -175,11 +175,8 @@ def _clear(values: Array, reach: int) -> bool:
 def _in_another(one: Change, found: list[Change]) -> bool:
     """Whether a change overlaps a larger one: it is then an end of that, detected twice."""
     length, size = one.end - one.t, abs(one.value - one.before)
-    return any(
-        min(one.end, other.end) - max(one.t, other.t) > OVERLAP * length
-        for other in found
-        if abs(other.value - other.before) > size
-    )
+    larger = (other for other in found if abs(other.value - other.before) > size)
+    return any(min(one.end, other.end) - max(one.t, other.t) > OVERLAP * length for other in larger)
 
 
 def _changes(t: Array, values: Array, exact: Array, smallest: float, reach: int, share: float) -> list[Change]:
@@ -194,12 +191,9 @@ def _changes(t: Array, values: Array, exact: Array, smallest: float, reach: int,
         still = min(still, 0.5 * float(jumps[jumps > 0].min(initial=np.inf)))
     way = np.sign(moved) * (np.abs(moved) > still)
     edges = np.flatnonzero(np.diff(way, prepend=0.0, append=0.0)).tolist()
-    found = (
-        _change(t, exact, max(0, first - reach), min(len(values) - 1, last - 1 + reach), smallest)
-        for first, last in pairwise(edges)
-        if way[first] != 0
-    )
-    return [change for change in found if change is not None]
+    moving = ((first, last) for first, last in pairwise(edges) if way[first] != 0)
+    ends = ((max(0, first - reach), min(len(values) - 1, last - 1 + reach)) for first, last in moving)
+    return [change for begin, end in ends if (change := _change(t, exact, begin, end, smallest)) is not None]
 
 
 def _change(t: Array, values: Array, begin: int, end: int, smallest: float) -> Change | None:
@@ -249,10 +243,8 @@ class Seen:
 
     def held(self) -> float | None:
         """Pressure of the test [Pa]: the commanded one, else the measured one to three digits; None without either."""
-        for name, digits in (("pressure_command", DIGITS), ("pressure", 3)):
-            if name in self.channels:
-                return _rounded(float(np.median(self.channels[name])), digits)
-        return None
+        known = (each for each in (("pressure_command", DIGITS), ("pressure", 3)) if each[0] in self.channels)
+        return next((_rounded(float(np.median(self.channels[name])), digits) for name, digits in known), None)
 
     def reached(self) -> float | None:
         """Last value at which the trial was held [SI]."""
@@ -350,12 +342,9 @@ def lift_and_set_down(t: Array, channels: Mapping[str, Array]) -> list[dict[str,
     if not len(rises):
         return []
     top = int(np.argmax(np.where(t >= t[rises[0]], x, -np.inf)))
-    ways = [("lift", rises[rises <= top]), ("set-down", falls[falls >= top])]
     found = []
-    for phase, rows in ways:
-        if not len(rows):
-            continue
-        at = float(t[rows[-1]])
+    for phase, rows in (("lift", rises[rises <= top]), ("set-down", falls[falls >= top])):
+        at = float(t[rows[-1]]) if len(rows) else np.nan
         near = np.abs(t - at) <= max(AROUND, 2.5 * float(np.median(np.diff(t))))
         result: dict[str, Any] = {"found": True, "t": at}
         for name in ("pressure", "displacement", "force"):

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.base.quantities import show
+from pmabench.store.importers.map_file import Question
 from pmabench.store.importers.map_rules import ColumnRule
 from pmabench.store.records import Array, Flag, Flags
 
@@ -56,6 +57,11 @@ class Checked:
     raw: Array
     si: Array
 
+    @property
+    def numbers(self) -> Array:
+        """The numbers as the file has them."""
+        return self.raw * self.rule.back[0] + self.rule.back[1]
+
 
 @dataclass
 class Report:
@@ -64,6 +70,8 @@ class Report:
     t: Array
     flags: Flags
     found: list[Found] = field(default_factory=list)
+    questions: list[Question] = field(default_factory=list)
+    """What the numbers cannot decide."""
 
     def mark(self, where: Bools | Rows, flag: Flag, level: str, kind: str, text: str, channel: str = "") -> None:
         """Flag samples, given by rows or by a mask, and report them; no finding if there are none."""
@@ -90,6 +98,10 @@ class Report:
         """Report a fault that no rule can correct."""
         self.add("fault", kind, text, channel, index)
         self.found[-1] = replace(self.found[-1], withholds=True)
+
+    def ask(self, what: str, column: str, question: str, used: str) -> None:
+        """Ask a question about a column; `used`: what is taken until it is answered."""
+        self.questions.append(Question(what, column, question, used))
 
 
 FEWEST = 20

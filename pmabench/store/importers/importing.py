@@ -12,7 +12,7 @@ import re
 import shutil
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -62,12 +62,9 @@ def compare(files: Sequence[Summary], allowed: Mapping[str, float]) -> list[list
                 continue
             sure = len(peaks) > 2 or not file.trusted
             quantity = CHANNEL_QUANTITY[channel]
-            text = (
-                f"{channel}: peak {show(file.peaks[channel], quantity, 4)}, that of its siblings "
-                f"{show(usual, quantity, 4)}: implausible{_hint(ratio, quantity)}"
-            )
-            if not sure:
-                text += "; which of the two is wrong is not known"
+            text = f"{channel}: peak {show(file.peaks[channel], quantity, 4)}, that of its siblings "
+            text += f"{show(usual, quantity, 4)}: implausible{_hint(ratio, quantity)}"
+            text += "" if sure else "; which of the two is wrong is not known"
             found[index].append(Found("fault" if sure else "doubt", "sibling", text, channel))
         found[index] += _steeper(file, trusted)
     return found
@@ -76,9 +73,10 @@ def compare(files: Sequence[Summary], allowed: Mapping[str, float]) -> list[list
 def _steeper(file: Summary, others: Sequence[Summary]) -> list[Found]:
     """Finding for files at one point whose slopes differ too much for repeats: all are withheld."""
     slopes = [each.slope for each in (file, *others) if each.slope]
-    usual = float(np.median(slopes)) if slopes else 0.0
-    alike = not slopes or (usual != 0.0 and all(1.0 / ALIKE <= slope / usual <= ALIKE for slope in slopes))
-    if not file.slope or not file.trusted or alike:
+    if not file.slope or not file.trusted:
+        return []
+    usual = float(np.median(slopes))
+    if usual != 0.0 and all(1.0 / ALIKE <= slope / usual <= ALIKE for slope in slopes):
         return []
     low, high = (show(end(slopes), "force per pressure", 4) for end in (min, max))
     text = f"force: slopes over pressure of the files at its point are {low} to {high}: these are no repeats of one "
@@ -161,7 +159,7 @@ def import_files(
 
 def _read_all(files: Sequence[Path], rules: ImportMap) -> tuple[list[Prepared], list[Summary], list[str]]:
     """The tests of the last file, a summary of every test, and each file's sha256; InvalidFile with all problems."""
-    problems, summaries, hashes, prepared = list[Problem](), list[Summary](), list[str](), list[Prepared]()
+    problems, summaries, prepared = list[Problem](), list[Summary](), list[Prepared]()
     first: dict[str, Path] = {}
     for path in files:
         try:
@@ -174,22 +172,20 @@ def _read_all(files: Sequence[Path], rules: ImportMap) -> tuple[list[Prepared], 
         if digest in first:
             problems.append(Problem(str(path), 0, 0, f"holds the same bytes as {first[digest]}"))
         first.setdefault(digest, path)
-        hashes.append(digest)
     if problems:
         raise InvalidFile(problems)
-    return prepared, summaries, hashes
+    return prepared, summaries, list(first)
 
 
 def _write(prepared: Prepared, rules: ImportMap, apart: Sequence[Found], out: Path) -> ImportedRun:
     """Write one run from one prepared test; removes it again if that fails."""
-    flags = prepared.flags
-    if any(found.level == "fault" and not found.withholds for found in apart):
-        flags = flags | np.uint16(Flag.SUSPECT)
+    wrong = any(found.level == "fault" and not found.withholds for found in apart)
+    flags = prepared.flags | np.uint16(Flag.SUSPECT if wrong else Flag.OK)
     findings = (*prepared.findings, *(placed(found, prepared.t, len(prepared.table)) for found in apart))
-    counts = {str(flag.name).lower(): int(np.count_nonzero(flags & np.uint16(flag))) for flag in Flag if flag}
+    counts = {str(flag.name).lower(): int(np.count_nonzero(flags & np.uint16(flag))) for flag in Flag}
     flagged = {name: count for name, count in counts.items() if count}
     started = prepared.named.started or datetime.now(UTC)
-    title = f"{rules.specimen['type']}-{rules.specimen['serial']}"
+    title = f"{rules.file.specimen.type}-{rules.file.specimen.serial}"
     name = run_name(started, title, rules.file.kind, simulated=prepared.simulated)
     manifest = _manifest(prepared, rules, findings, flagged, started)
     writer = RunWriter.create(out, name, manifest, _snapshots(prepared, rules))
@@ -226,11 +222,11 @@ def _events(writer: RunWriter, prepared: Prepared) -> None:
     for index, part in enumerate(prepared.parts):
         known = {"point": dict(part.point), "repeat": prepared.named.test, "reference": False}
         writer.event("trial-begin", part.begin, trial=index, **known)
-        lines = [(command["t"], "command", {k: v for k, v in command.items() if k != "t"}) for command in part.commands]
-        lines += [(at, "phase", {"name": name}) for at, name in part.phases]
-        lines += [(found["t"], "found", {k: v for k, v in found.items() if k != "t"}) for found in part.found]
-        for at, kind, data in sorted(lines, key=lambda line: line[0]):
-            writer.event(kind, at, trial=index, **data)
+        lines: list[tuple[str, Mapping[str, Any]]] = [("command", command) for command in part.commands]
+        lines += [("phase", {"t": at, "name": name}) for at, name in part.phases]
+        lines += [("found", found) for found in part.found]
+        for kind, data in sorted(lines, key=lambda line: float(line[1]["t"])):
+            writer.event(kind, trial=index, **data)
         writer.event("trial-end", part.end, trial=index, status="finished")
 
 
@@ -257,9 +253,7 @@ def _manifest(
 ) -> dict[str, Any]:
     table = prepared.table
     notes = prepared.notes[1].decode("utf-8", "replace") if prepared.notes is not None else ""
-    lines = [asdict(found) for found in findings]
-    for found in lines:
-        found["line"] = None if found["index"] is None else table.line(found["index"])
+    lines = [{**vars(each), "line": None if each.index is None else table.line(each.index)} for each in findings]
     return {
         "kind": rules.file.kind,
         "protocol": rules.file.name,
@@ -268,7 +262,7 @@ def _manifest(
         "started_utc": started.isoformat(timespec="milliseconds"),
         "operator": "",
         "bench": rules.file.bench,
-        "specimen": dict(rules.specimen),
+        "specimen": rules.file.specimen.model_dump(mode="json"),
         "trials_planned": len(prepared.parts),
         "imported": {
             "file": table.path.name,

@@ -89,13 +89,9 @@ def inspected(
     if rows <= PART:
         seen = inspect(table.part(0, rows))
         return Inspected(seen, seen.flags, *summarise(seen), _period(seen.t))
-    flags = np.zeros(rows, dtype=np.uint16)
-    merged = _Findings()
-    kept: list[Seen] = []
-    where: list[np.ndarray] = []
-    periods: list[float] = []
-    whole: frozenset[str] | None = None
-    peaks: dict[str, float] = {}
+    flags, merged = np.zeros(rows, dtype=np.uint16), _Findings()
+    kept, where, periods = list[Seen](), list[np.ndarray](), list[float]()
+    wholes, peaks = list[frozenset[str]](), dict[str, float]()
     for begin, end in parts(rows):
         early = max(0, begin - BEFORE)
         seen = inspect(table.part(early, end))
@@ -104,7 +100,7 @@ def inspected(
         core = _slice(seen, slice(begin - early, None))
         flags[begin:end] = core.flags
         counts, highest = summarise(core)
-        whole = counts if whole is None else whole & counts
+        wholes.append(counts)
         for role, value in highest.items():
             peaks[role] = max(value, peaks.get(role, value))
         periods.append(_period(core.t))
@@ -112,7 +108,8 @@ def inspected(
         where.append(begin + thinned)
         kept.append(_slice(core, thinned))
     seen = replace(_joined(kept), found=merged.all())
-    return Inspected(seen, flags, whole or frozenset(), peaks, float(np.median(periods)), np.concatenate(where))
+    whole = wholes[0].intersection(*wholes)
+    return Inspected(seen, flags, whole, peaks, float(np.median(periods)), np.concatenate(where))
 
 
 def _period(t: Array) -> float:
@@ -130,16 +127,12 @@ def _slice(seen: Seen, rows: slice | np.ndarray) -> Seen:
 
 
 def _joined(kept: list[Seen]) -> Seen:
-    return Seen(
-        np.concatenate([seen.t for seen in kept]),
-        tuple(
-            Checked(same[0].rule, np.concatenate([one.raw for one in same]), np.concatenate([one.si for one in same]))
-            for same in zip(*(seen.checked for seen in kept), strict=True)
-        ),
-        {role: np.concatenate([seen.values[role] for seen in kept]) for role in kept[0].values},
-        np.concatenate([seen.flags for seen in kept]),
-        [],
-    )
+    t, flags = np.concatenate([seen.t for seen in kept]), np.concatenate([seen.flags for seen in kept])
+    values = {role: np.concatenate([seen.values[role] for seen in kept]) for role in kept[0].values}
+    raw = (np.concatenate([one.raw for one in same]) for same in zip(*(seen.checked for seen in kept), strict=True))
+    rules = (channel.rule for channel in kept[0].checked)
+    checked = tuple(Checked(rule, one, values[rule.role]) for rule, one in zip(rules, raw, strict=True))
+    return Seen(t, checked, values, flags, [])
 
 
 def _thinned(seen: Seen, rules: ImportMap, stretches: int) -> np.ndarray:
@@ -148,10 +141,8 @@ def _thinned(seen: Seen, rules: ImportMap, stretches: int) -> np.ndarray:
     keep = np.zeros(rows, dtype=bool)
     keep[[0, -1]] = True
     size = -(-rows // stretches)
-    for role in ("pressure", "pressure_command", "displacement", "displacement_command"):
-        values = seen.values.get(role)
-        if values is None:
-            continue
+    for role in {"pressure", "pressure_command", "displacement", "displacement_command"} & seen.values.keys():
+        values = seen.values[role]
         padded = np.pad(np.nan_to_num(values, nan=float(np.nanmedian(values))), (0, -rows % size), mode="edge")
         blocks = padded.reshape(-1, size)
         first = np.arange(len(blocks)) * size
@@ -183,17 +174,15 @@ class _Findings:
         for each in found:
             key = (each.kind, each.channel)
             left = each.count - counted.get(key, 0)
-            if (each.count and left <= 0) or (each.kind in OF_WHOLE and key in self._all):
-                continue
-            self._all.setdefault(key, []).append(replace(_moved(each, lambda row: row + begin), count=left))
+            if (left > 0 or not each.count) and not (each.kind in OF_WHOLE and key in self._all):
+                self._all.setdefault(key, []).append(replace(_moved(each, lambda row: row + begin), count=left))
 
     def all(self) -> list[Found]:
         """The first finding of each kind and channel, with the highest level and the total count."""
-        order = {"note": 0, "doubt": 1, "fault": 2}
         merged = []
         for same in self._all.values():
             first, count = same[0], sum(each.count for each in same)
-            level = max((each.level for each in same), key=lambda level: order.get(level, 0))
+            level = max((each.level for each in same), key=("note", "doubt", "fault").index)
             text = first.text
             if len(same) > 1:
                 text += f"; in {len(same)} of the {self._parts} parts in which the file was looked at"

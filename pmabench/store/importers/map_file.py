@@ -220,10 +220,8 @@ def _format(value: Any) -> str:
 if TYPE_CHECKING:
     AnyLayout: TypeAlias = Layout
 else:
-    AnyLayout = Annotated[
-        Union[tuple(Annotated[each.layout, Tag(name)] for name, each in formats().items())],  # noqa: UP007
-        Discriminator(_format),
-    ]
+    _layouts = tuple(Annotated[each.layout, Tag(name)] for name, each in formats().items())
+    AnyLayout = Annotated[Union[_layouts], Discriminator(_format)]  # noqa: UP007
     """Layout of a file, with the options of its format."""
 
 

@@ -109,7 +109,6 @@ class ImportMap:
     ignored: tuple[str, ...]
     name_rule: NameRule | None
     point: Mapping[str, float]
-    specimen: Mapping[str, Any]
     stamps: Stamps
     tests: Mapping[str, Mapping[str, float]]
     """Name of each of several tests in a file -> its operating point [SI]."""
@@ -139,14 +138,10 @@ class ImportMap:
             return column.replace(PLACE, test)
 
         columns = tuple(replace(column, column=named(column.column)) for column in self.columns)
-        own = {column.column for column in columns}
-        all_names = [
-            name.replace(PLACE, each)
-            for name in (*(column.column for column in self.columns), *self.ignored)
-            for each in self.tests
-        ]
+        every = (*(column.column for column in self.columns), *self.ignored)
+        others = dict.fromkeys(name.replace(PLACE, each) for name in every for each in self.tests)
+        ignored = tuple(name for name in others if name not in {column.column for column in columns})
         stamps = replace(self.stamps, column=named(self.stamps.column), date=named(self.stamps.date))
-        ignored = tuple(dict.fromkeys(name for name in all_names if name not in own))
         return replace(self, columns=columns, ignored=ignored, stamps=stamps)
 
     def column(self, role: str) -> ColumnRule | None:
@@ -164,9 +159,9 @@ def read_map(
     """
     document = read_document(path)
     left = settle(document, answers, unresolved=unresolved)
-    kind = str(document.data.get("kind", ""))
-    unknown = [document.problem(("kind",), f'"{kind}" is not known here{did_you_mean(kind, kinds)}')]
-    unknown = unknown if kind and kind not in kinds else []
+    kind, unknown = str(document.data.get("kind", "")), list[Problem]()
+    if kind and kind not in kinds:
+        unknown.append(document.problem(("kind",), f'"{kind}" is not known here{did_you_mean(kind, kinds)}'))
     try:
         file = validate(MapFile, document)
     except InvalidFile as error:
@@ -204,7 +199,6 @@ class _Rules:
             ignored=tuple(name for name, column in file.columns.items() if column.is_ == "ignore"),
             name_rule=self.name_rule(),
             point=self.point(file.trials.point, ("trials", "point")),
-            specimen=file.specimen.model_dump(mode="json"),
             stamps=self.stamps(),
             tests={each.name: self.point(each.point, ("tests", k, "point")) for k, each in enumerate(file.tests)},
             unresolved=unresolved,
@@ -242,14 +236,12 @@ class _Rules:
 
     def column(self, name: str, file: ColumnFile) -> ColumnRule:
         at: Location = ("columns", name)
-        if file.is_ in NUMBERS:
+        if file.is_ in NUMBERS or file.is_ == "date":
             marks = {float(mark): name for name, mark in file.marks.items()}
-            return ColumnRule(name, file.is_, optional=file.optional, marks=marks)
-        if file.is_ == "point" and file.of is not None:
+            return ColumnRule(name, file.is_, optional=file.optional and file.is_ != "date", marks=marks)
+        if file.of is not None:
             slope = self.of_point(file.of, file.unit, (*at, "unit"))
             return ColumnRule(name, f"point of {file.of}", file.unit, slope, optional=file.optional)
-        if file.is_ == "date":
-            return ColumnRule(name, "date", optional=False)
         if file.is_ == "time":
             slope = self.si((1.0, file.unit), "time", (*at, "unit")) if file.written == "number" else 1.0
             return ColumnRule(name, "time", file.unit, slope, optional=False)
@@ -317,7 +309,7 @@ class _Rules:
         """Slope [SI per raw unit], offset [SI], and largest distance of a calibration point from that line [SI]."""
         if file.line is not None:
             slope = self.per(file.line.slope, file.unit, (*at, "line", "slope"))
-            si = (self.si((slope[0], slope[1]), quantity, (*at, "line", "slope"))) if slope[1] else 0.0
+            si = self.si(slope, quantity, (*at, "line", "slope")) if slope[1] else 0.0
             return si, self.si(file.line.offset, quantity, (*at, "line", "offset")), 0.0
         if file.points is None:
             return self.si((1.0, file.unit), quantity, (*at, "unit")), 0.0, 0.0
@@ -367,14 +359,13 @@ class _Rules:
         file = self.file.from_name
         if file is None:
             return None
-        used: set[str] = set()
         forms = []
         for index, form in enumerate(file.forms):
             try:
-                forms.append(form_pattern(form, file.decimal == "comma", used))
+                forms.append(form_pattern(form, file.decimal == "comma"))
             except ValueError as error:
                 self.fault(("name_tells", "forms", index), str(error))
-        for name in sorted(used - set(_SPECIAL) - set(file.units)):
+        for name in sorted({name for form in forms for name in form.groupindex} - {*_SPECIAL, *file.units}):
             self.fault(("name_tells", "units"), f'the unit of "{name}" is missing')
         factors = {str(of): self.of_point(of, unit, ("name_tells", "units", of)) for of, unit in file.units.items()}
         return NameRule(file.of, tuple(forms), factors, self.point(file.otherwise, ("name_tells", "otherwise")))
@@ -392,32 +383,27 @@ def number_in(text: str) -> float:
     return float(re.sub("[,p]", ".", text))
 
 
-def form_pattern(form: str, comma: bool, used: set[str]) -> re.Pattern[str]:
-    """A form such as `Kinked{contraction}mm_Test{test}` as a pattern; adds its placeholders to `used`.
+def form_pattern(form: str, comma: bool) -> re.Pattern[str]:
+    """A form such as `Kinked{contraction}mm_Test{test}` as a pattern with a group for each placeholder.
 
     At most two `*`, and text between placeholders, so that the time for matching is bounded; else ValueError.
     """
-    number = r"[+-]?\d{1,9}(?:[,.p]\d{1,9})?" if comma else r"[+-]?\d{1,9}(?:[.p]\d{1,9})?"
-    parts: list[str] = []
-    here: set[str] = set()
-    end, stars = 0, 0
+    number = rf"[+-]?\d{{1,9}}(?:[{',' if comma else ''}.p]\d{{1,9}})?"
+    parts, names, end = list[str](), list[str](), 0
     for match in _PLACEHOLDER.finditer(form):
         if match.start() == end and end > 0:
             raise ValueError("two placeholders need some text between them")
         parts.append(re.escape(form[end : match.start()]))
-        end = match.end()
+        end, name = match.end(), match[1]
         if match[2]:
-            stars += 1
             parts.append(".*")
             continue
-        name = match[1]
         if name not in POINT_QUANTITY and name not in _SPECIAL:
             raise ValueError(f'unknown placeholder "{name}"{did_you_mean(name, [*POINT_QUANTITY, *_SPECIAL])}')
-        if name in here:
+        if name in names:
             raise ValueError(f'"{{{name}}}" is there twice')
-        here.add(name)
+        names.append(name)
         parts.append(f"(?P<{name}>{_SPECIAL.get(name, number)})")
-    if stars > 2:
+    if parts.count(".*") > 2:
         raise ValueError('at most two "*"')
-    used |= here
     return re.compile("".join(parts) + re.escape(form[end:]))

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import combinations
+from math import sqrt
 
 import numpy as np
 
@@ -64,7 +65,7 @@ def swapped(report: Report, channels: Sequence[Checked], good: Bools) -> bool:
     rows = np.flatnonzero(good)
     if len(rows) < 4 * SIDE:
         return False
-    numbers = {c.rule.role: (c.raw * c.rule.back[0] + c.rule.back[1])[rows] for c in channels}
+    numbers = {c.rule.role: c.numbers[rows] for c in channels}
     found = False
     for a, b in combinations(numbers, 2):
         if "command" in a + b and not {a, b} <= {"pressure_command", "displacement_command"}:
@@ -89,10 +90,8 @@ def _exchanges(a: Array, b: Array) -> list[int]:
     size = float(np.quantile(np.abs(a - b), 0.9))
     likely = np.flatnonzero((crossed < SAME * step) & (step > 0.1 * size)) + 1
     found: list[int] = []
-    for at in likely.tolist():
+    for at in likely[(likely >= 3) & (likely + 3 <= len(a))].tolist():
         side = slice(max(0, at - SIDE), at), slice(at, at + SIDE)
-        if len(a[side[0]]) < 3 or len(a[side[1]]) < 3:
-            continue
         others = [np.abs(np.diff(x[s])).max() for x in (a, b) for s in side]
         (a0, a1), (b0, b1) = ([float(np.median(x[s])) for s in side] for x in (a, b))
         leap = min(abs(a[at] - a[at - 1]), abs(b[at] - b[at - 1]))
@@ -146,11 +145,8 @@ def jumped(report: Report, channel: Checked, pressure: Checked, good: Bools, fol
     for peak in peaks[:CANDIDATES]:
         near = np.arange(peak + SIDE - 2, peak + SIDE + 3)
         sharp = np.abs(np.diff(y)[near - 1]) / span, np.abs(np.diff(p)[near - 1]) / range_p
-        who, row = (
-            (channel.rule.role, near[np.argmax(sharp[0])])
-            if sharp[0].max() > sharp[1].max()
-            else ("pressure", near[np.argmax(sharp[1])])
-        )
+        of = 0 if sharp[0].max() > sharp[1].max() else 1
+        who, row = (channel.rule.role, "pressure")[of], near[np.argmax(sharp[of])]
         alone = abs(sharp[0][row - near[0]] - sharp[1][row - near[0]])
         size = float(leaps[0][peak])
         if step[peak] < max(JUMP * span, ALONE * level) or alone < SHARP * step[peak] / span:
@@ -208,14 +204,9 @@ def _report_jump(
         report.add("doubt", "jump", f"{text} while the pressure rests: it slipped, or its zero changed", role, row)
         return
     found = [in_words(side, role) for side in sides if side is not None]
-    text = f"against pressure {role} {text}"
-    if len(found) == 2:
-        text += f"; slope over pressure {found[0]} before, {found[1]} after"
-    text += (
-        f"; the gain or the zero of {jump[1]} changed, or something slipped: cut the file there and import the part "
-        "that is right"
-    )
-    report.withhold("jump", text, jump[1], row)
+    slopes = f"; slope over pressure {found[0]} before, {found[1]} after" if len(found) == 2 else ""
+    text = f"against pressure {role} {text}{slopes}; the gain or the zero of {jump[1]} changed, or something slipped: "
+    report.withhold("jump", f"{text}cut the file there and import the part that is right", jump[1], row)
 
 
 def regained(report: Report, channel: Checked, pressure: Checked, good: Bools) -> bool:
@@ -226,9 +217,8 @@ def regained(report: Report, channel: Checked, pressure: Checked, good: Bools) -
     t, p, y = report.t[rows], pressure.si[rows], channel.si[rows]
     stride = max(1, len(rows) // 50_000)
     t, p, y = t[::stride], p[::stride], y[::stride]
-    cycles = motion.cycles(t, p, 0.3 * float(np.ptp(np.quantile(p, [0.002, 0.998]))))
     gains, begins = [], []
-    for cycle in cycles:
+    for cycle in motion.cycles(t, p, 0.3 * float(np.ptp(np.quantile(p, [0.002, 0.998])))):
         inside = (t >= cycle.begin) & (t <= cycle.turn)
         if inside.sum() < SIDE:
             continue
@@ -236,31 +226,23 @@ def regained(report: Report, channel: Checked, pressure: Checked, good: Bools) -
         inside &= (np.abs(p - low - 0.5 * size) < 0.4 * size) & (y > y.min() + 0.2 * float(np.ptp(y[inside])))
         if inside.sum() < SIDE or np.corrcoef(p[inside], y[inside])[0, 1] < STRAIGHT:
             continue
-        gain = slope(p[inside], y[inside])
-        if gain is not None and gain > 0:
+        if (gain := slope(p[inside], y[inside]) or 0.0) > 0:
             gains.append(gain)
             begins.append(cycle.begin)
     if len(gains) < CYCLES:
         return False
-    logs = np.log(gains)
-    best = int(np.argmax([_contrast(logs, k) for k in range(1, len(logs))])) + 1
+    logs, n = np.log(gains), len(gains)
+    # the means before and after it differ most, weighted with the numbers of cycles
+    best = max(range(1, n), key=lambda k: float(abs(logs[:k].mean() - logs[k:].mean())) * sqrt(k * (n - k)))
     change = float(np.median(logs[best:]) - np.median(logs[:best]))
     within = max(float(np.ptp(part)) if len(part) > 1 else 0.0 for part in (logs[:best], logs[best:]))
-    allowed = SETTLES if best in (1, len(logs) - 1) else GAIN
+    allowed = SETTLES if best in (1, n - 1) else GAIN
     if abs(np.expm1(change)) < allowed or abs(change) < SCATTER * within / 2.0:
         return False
     role = channel.rule.role
     before, after = (in_words(float(np.exp(np.median(part))), role) for part in (logs[:best], logs[best:]))
-    text = (
-        f"slope over pressure {before} in {best} cycle{'' if best == 1 else 's'}, {after} in the {len(logs) - best} "
-        f"after it ({np.expm1(change):+.1%}): a gain was changed in mid-file; import the part that is right"
-    )
+    text = f"slope over pressure {before} in {best} cycle{'' if best == 1 else 's'}, {after} in the {n - best} "
+    text += f"after it ({np.expm1(change):+.1%}): a gain was changed in mid-file; import the part that is right"
     at = int(np.searchsorted(t, begins[best])) * stride
     report.withhold("gain", text, role, int(rows[min(at, len(rows) - 1)]))
     return True
-
-
-def _contrast(logs: Array, k: int) -> float:
-    """Difference of the means of the first `k` values and the others, weighted with the numbers of values."""
-    n = len(logs)
-    return float(abs(logs[:k].mean() - logs[k:].mean()) * np.sqrt(k * (n - k) / n))

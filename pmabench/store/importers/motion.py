@@ -72,11 +72,9 @@ class Wave:
 
     def parted(self, after: Wave) -> bool:
         """Whether the following sine is another one, or comes after a rest."""
-        return (
-            abs(after.frequency - self.frequency) > ANOTHER * self.frequency
-            or abs(after.amplitude - self.amplitude) > ANOTHER * self.amplitude
-            or (after.begin - self.end) * self.frequency > APART
-        )
+        other = abs(after.frequency - self.frequency) > ANOTHER * self.frequency
+        other |= abs(after.amplitude - self.amplitude) > ANOTHER * self.amplitude
+        return other or (after.begin - self.end) * self.frequency > APART
 
 
 def later(t: Array) -> NDArray[np.bool_]:
@@ -107,8 +105,8 @@ def levels(t: Array, values: Array, smallest: float) -> list[Level]:
     windows = np.lib.stride_tricks.sliding_window_view(values, width)
     quiet = windows.max(axis=1) - windows.min(axis=1) <= 0.5 * smallest
     flat = np.zeros(n, dtype=bool)
-    for k in np.flatnonzero(quiet):
-        flat[k : k + width] = True
+    for begin, end in runs(quiet):
+        flat[begin : end + width - 1] = True
     jumps = np.flatnonzero(flat[:-1] & flat[1:] & (np.abs(np.diff(values)) > 0.5 * smallest)) + 1
     parts = [part for begin, end in runs(flat) for part in _parted(begin, end, jumps)]
     found = []
@@ -205,9 +203,8 @@ def _alike(t: Array, values: Array, marks: list[int], start: int, stop: int) -> 
         return True
     period, size = float(np.median(periods[:-1])), float(np.median(sizes[:-1]))
     step = float(np.median(np.diff(t[at[0] : at[-1] + 1])))
-    return bool(
-        abs(periods[-1] - period) <= SAME_PERIOD * period + 2 * step and abs(sizes[-1] - size) <= SAME_SIZE * size
-    )
+    same = abs(periods[-1] - period) <= SAME_PERIOD * period + 2 * step
+    return bool(same and abs(sizes[-1] - size) <= SAME_SIZE * size)
 
 
 def _fitted(t: Array, values: Array, begin: int, end: int, halves: int) -> list[Wave]:
@@ -235,6 +232,12 @@ def _amplitude(t: Array, values: Array, frequency: float) -> tuple[float, comple
     table = np.column_stack([np.ones(len(t)), np.cos(angle), np.sin(angle)])
     mean, cosine, sine = np.linalg.lstsq(table, values, rcond=None)[0]
     return float(mean), complex(cosine, -sine)
+
+
+def averaged(values: Array, width: int) -> Array:
+    """Moving average over `width` samples, shape (n,)."""
+    padded = np.pad(values, (width // 2, width - 1 - width // 2), mode="edge")
+    return np.convolve(padded, np.full(width, 1 / width), "valid")
 
 
 def medians(x: Array, together: int) -> Array:

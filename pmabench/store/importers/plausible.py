@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 
@@ -49,15 +48,11 @@ def usual(pressure: Array, other: Array) -> tuple[Array, Array]:
     """Usual reading over pressure: medians of pressure and of the channel in each class, shape (k,), k <= 40."""
     low, high = float(pressure.min()), float(pressure.max())
     place = np.minimum((BINS * (pressure - low) / ((high - low) or 1.0)).astype(np.intp), BINS - 1)
-    order = np.argsort(place, kind="stable")
-    cuts = np.searchsorted(place[order], np.arange(BINS + 1))
-    at, reads = [], []
-    for begin, end in pairwise(cuts.tolist()):
-        if end > begin:
-            rows = order[begin:end]
-            at.append(float(np.median(pressure[rows])))
-            reads.append(float(np.median(other[rows])))
-    return np.array(at), np.array(reads)
+    begins = np.flatnonzero(np.diff(np.sort(place), prepend=-1))
+    ends = np.append(begins[1:], len(place))
+    ordered = (values[np.lexsort((values, place))] for values in (pressure, other))
+    at, reads = (0.5 * (values[(begins + ends - 1) // 2] + values[(begins + ends) // 2]) for values in ordered)
+    return at, reads
 
 
 def frozen(report: Report, channel: Checked, other: Checked, rows: Rows, follows: bool) -> None:
@@ -168,9 +163,7 @@ def late(report: Report, force: Checked, pressure: Checked, good: Bools) -> bool
     if abs(seconds) < max(LEAST, 3.0 * period):
         return False
     shift = max(2, round(0.5 * abs(seconds) / period))  # half of the lag: another reversal may follow
-    first, second = (P, F) if seconds > 0 else (F, P)
-    share = _goes_on(first, second, shift)
-    if share is None or share < GOES_ON:
+    if _goes_on(*((P, F) if seconds > 0 else (F, P)), shift) < GOES_ON:
         return False
     moved = np.interp(report.t[rows] + seconds, report.t[rows], force.si[rows])
     as_is, shifted = (magnitude.slope_of(pressure.si[rows], pulls) for pulls in (force.si[rows], moved))
@@ -198,7 +191,7 @@ def _behind(
     usual = float(np.median(np.diff(t)))
     period = max(usual, finest, float(t[-1] - t[0]) / POINTS)
     grid = np.arange(t[0], t[-1], period)
-    one, other = (np.interp(grid, t, _averaged(y, period / usual)) for y in pair)
+    one, other = (np.interp(grid, t, motion.averaged(y, max(1, round(period / usual)))) for y in pair)
     most = int(min(MOST / period, len(grid) / 8))
     known = most >= 3 and np.ptp(one) > 0 and np.ptp(other) > 0
     return _lag(one, other, most, alone=alone) * period if known else 0.0, period, (one, other)
@@ -216,13 +209,6 @@ def led(report: Report, pressure: Checked, command: Checked, good: Bools) -> Non
         return
     text = f"moves {show(seconds, 'time', 3)} before its command: the columns of command and measured pressure look "
     report.add("doubt", "led", f"{text}exchanged, or the command is recorded late", "pressure")
-
-
-def _averaged(values: Array, over: float) -> Array:
-    """Moving average over `over` samples, shape (n,)."""
-    width = max(1, round(over))
-    padded = np.pad(values, (width // 2, width - 1 - width // 2), mode="edge")
-    return np.asarray(np.convolve(padded, np.ones(width) / width, mode="valid"))
 
 
 def _lag(F: Array, P: Array, most: int, *, alone: bool = False) -> float:
@@ -244,10 +230,10 @@ def _lag(F: Array, P: Array, most: int, *, alone: bool = False) -> float:
     return 0.0
 
 
-def _goes_on(first: Array, second: Array, shift: int) -> float | None:
-    """Change of `second` in `shift` points after stops or reversals of `first`, relative to that before; else None."""
-    before = np.concatenate([np.zeros(shift), first[shift:] - first[:-shift]])
-    after = np.concatenate([first[shift:] - first[:-shift], np.zeros(shift)])
+def _goes_on(first: Array, second: Array, shift: int) -> float:
+    """Change of `second` in `shift` points after stops or reversals of `first`, relative to that before; else 0."""
+    moved, rest = first[shift:] - first[:-shift], np.zeros(shift)
+    before, after = np.concatenate([rest, moved]), np.concatenate([moved, rest])
     large = np.abs(before) > 0.3 * float(np.max(np.abs(before)))
     stops = large & (np.sign(before) * after < STOPS * np.abs(before))
     stops[-shift:] = False
@@ -258,10 +244,9 @@ def _goes_on(first: Array, second: Array, shift: int) -> float | None:
         if at < shift or at + shift >= len(second):
             continue
         past = second[at] - second[at - shift]
-        if past * before[at] <= 0 or abs(past) < 0.02 * np.ptp(second):
-            continue
-        shares.append(float((second[at + shift] - second[at]) / past))
-    return float(np.median(shares)) if shares else None
+        if past * before[at] > 0 and abs(past) >= 0.02 * np.ptp(second):
+            shares.append(float((second[at + shift] - second[at]) / past))
+    return float(np.median(shares)) if shares else 0.0
 
 
 SHARE = 0.1
@@ -290,21 +275,16 @@ def pressure_late(t: Array, values: Mapping[str, Array], flags: Flags) -> Found 
         return None
     low, high = (float(end) for end in np.quantile(pressure, [0.005, 0.995]))
     rows, times = np.flatnonzero(good), t[good]
-    worst: tuple[float, int] | None = None
+    leads = []
     for step in motion.levels(times, pressure, SHARE * (high - low)) if high > low else []:
-        if step.settled - step.t > FAST:
-            continue
-        first = _moves(times, values["displacement"][good], step.t)
-        lead = 0.0 if first is None else step.t - float(times[first])
-        if first is not None and lead >= step.within and (worst is None or lead > worst[0]):
-            worst = (lead, int(rows[first]))
-    if worst is None:
+        first = _moves(times, values["displacement"][good], step.t) if step.settled - step.t <= FAST else None
+        if first is not None and (lead := step.t - float(times[first])) >= step.within:
+            leads.append((lead, int(rows[first])))
+    if not leads:
         return None
-    lead, row = worst
-    text = (
-        f"pressure: displacement moves {lead * 1e3:.3g} ms before it at {float(t[row]):.3f} s: pressure is late, as "
-        'where channels are polled one after the other; say "late_by"'
-    )
+    lead, row = max(leads, key=lambda found: found[0])
+    text = f"pressure: displacement moves {lead * 1e3:.3g} ms before it at {float(t[row]):.3f} s: pressure is late, as "
+    text += 'where channels are polled one after the other; say "late_by"'
     return Found("doubt", "late", text, "pressure", 1, row, float(t[row]))
 
 
@@ -327,6 +307,7 @@ CONDEMNED = 0.5
 """Share of unusable samples above which a file is not examined further: its faults are known."""
 
 
+@np.errstate(all="ignore")  # damaged files hold numbers of any size
 def stopped(t: Array, channels: Sequence[Checked], flags: Flags, held: bool) -> tuple[Flags, list[Found]]:
     """Flags, shape (n,), with frozen and clipped samples added, and findings; for all or a part of a file, `t` [s].
 
@@ -337,11 +318,10 @@ def stopped(t: Array, channels: Sequence[Checked], flags: Flags, held: bool) -> 
     good = _good(flags, channels)
     rows = np.flatnonzero(good)
     if pair is not None and good.mean() > 1.0 - CONDEMNED and len(rows) >= 4 * SAMPLES:
-        with np.errstate(all="ignore"):  # damaged files hold numbers of any size
-            for one, other in (pair, pair[::-1]):
-                frozen(report, one, other, rows, follows=held)
-                if held:
-                    clipped(report, one, other, rows)
+        for one, other in (pair, pair[::-1]):
+            frozen(report, one, other, rows, follows=held)
+            if held:
+                clipped(report, one, other, rows)
     return report.flags, report.found
 
 
@@ -354,18 +334,17 @@ def judge(
     `confirmed`: kinds of findings that were checked and confirmed: they become notes, and withhold nothing.
     `set_length`: the column of contractions that were set.
     """
-    with np.errstate(all="ignore"):  # damaged files hold numbers of any size
-        found, questions = _judged(Report(t, flags), channels, muscle, set_length)
-    return answered(found, confirmed), [each for each in questions if each.what not in confirmed]
+    report = Report(t, flags)
+    _judge(report, channels, muscle, set_length)
+    return answered(report.found, confirmed), [each for each in report.questions if each.what not in confirmed]
 
 
-def _judged(
-    report: Report, channels: Sequence[Checked], muscle: Muscle, set_length: Checked | None
-) -> tuple[list[Found], list[Question]]:
+@np.errstate(all="ignore")  # damaged files hold numbers of any size
+def _judge(report: Report, channels: Sequence[Checked], muscle: Muscle, set_length: Checked | None) -> None:
     roles = {channel.rule.role: channel for channel in channels}
     good = _good(report.flags, channels)
     if good.mean() <= 1.0 - CONDEMNED or "pressure" not in roles:
-        return [], []
+        return
     scales.compare(report, roles if set_length is None else {**roles, "set length": set_length}, good)
     pair = _pair(channels, muscle.held)
     if "pressure_command" in roles:
@@ -374,7 +353,7 @@ def _judged(
         changed = midfile.jumped(report, *pair, good, follows=muscle.held)
         if muscle.held and not changed and not midfile.regained(report, *pair, good):
             late(report, *pair, good)
-    return report.found, magnitude.judge(report, roles, good, muscle, set_length)
+    magnitude.judge(report, roles, good, muscle, set_length)
 
 
 def _pair(channels: Sequence[Checked], held: bool) -> tuple[Checked, Checked] | None:
@@ -386,16 +365,14 @@ def _pair(channels: Sequence[Checked], held: bool) -> tuple[Checked, Checked] | 
 
 def _good(flags: Flags, channels: Sequence[Checked]) -> Bools:
     """Mask of usable samples with finite values in every channel."""
-    good = (flags & np.uint16(UNUSABLE)) == 0
-    for channel in channels:
-        good &= np.isfinite(channel.si)
-    return np.asarray(good)
+    finite = [np.isfinite(channel.si) for channel in channels]
+    return np.asarray(np.logical_and.reduce([(flags & np.uint16(UNUSABLE)) == 0, *finite]))
 
 
 def answered(found: Sequence[Found], confirmed: Collection[str]) -> list[Found]:
     """The findings, with those of confirmed kinds changed to notes."""
-    text = "{} (confirmed in the map)".format
-    return [
-        replace(each, level="note", withholds=False, text=text(each.text)) if each.kind in confirmed else each
-        for each in found
-    ]
+
+    def noted(one: Found) -> Found:
+        return replace(one, level="note", withholds=False, text=f"{one.text} (confirmed in the map)")
+
+    return [noted(each) if each.kind in confirmed else each for each in found]

@@ -114,9 +114,8 @@ def _prepared(path: Path, rules: ImportMap, table: Table, name: str, number: int
         _moves(rules.test), rules.test.follows == "force",
     )  # fmt: skip
     said = rules.column("point of contraction")
-    lengths = (
-        Checked(said, seen.values[said.role], seen.values[said.role]) if said and said.role in seen.values else None
-    )
+    values = seen.values.get(said.role) if said is not None else None
+    lengths = Checked(said, values, values) if said is not None and values is not None else None
     more, questions = plausible.judge(seen.t, seen.checked, seen.flags, muscle, rules.file.confirmed, lengths)
     found += looked.placed(more)
     parts, doubts = segments(seen.t, seen.values, seen.flags, rules, named.point)
@@ -155,12 +154,11 @@ def _units_agree(path: Path, columns: Sequence[ColumnRule], units: Mapping[str, 
     for column in columns:
         said, mapped = spelled(units.get(column.column, "")), spelled(column.raw_unit)
         if said and mapped and said != mapped and column.back == (1.0, 0.0):
-            text = f'says that the unit of "{column.column}" is {said}, the map says {mapped}'
             way = f'"written: index" with "period: 1 {mapped}"'
             if column.is_channel:
                 way = f'"unit: {said}" with "line: {{slope: 1 {mapped}/{said}, offset: 0 {mapped}}}"'
-            text += f"; where its label is wrong write {way}"
-            problems.append(Problem(str(path), 0, 0, text))
+            text = f'says that the unit of "{column.column}" is {said}, the map says {mapped}; where its label is '
+            problems.append(Problem(str(path), 0, 0, f"{text}wrong write {way}"))
     if problems:
         raise InvalidFile(problems)
 
@@ -227,19 +225,16 @@ def _coarse(table: Table, t: Array) -> None:
     same, forward = int(np.count_nonzero(steps == 0)), steps[steps > 0]
     if same <= SAME * len(t) or not len(forward):
         return
-    text = (
-        f"{same} of {len(t)} time stamps equal the one before, for they are written in steps of "
-        f"{np.median(forward):.3g} s: when each row was taken is not known. "
-        'Export the time with its fraction, or "ignore" it and say "period"'
-    )
+    text = f"{same} of {len(t)} time stamps equal the one before, for they are written in steps of "
+    text += f"{np.median(forward):.3g} s: when each row was taken is not known. Export the time with its fraction, "
+    text += 'or "ignore" it and say "period"'
     raise invalid(table.path, text, table.line(int(np.argmax(steps == 0)) + 1), 1)
 
 
 def channels_of(table: Table, rules: ImportMap) -> tuple[Checked, ...]:
     """The channels of a table in memory, raw and in SI units."""
-    return tuple(
-        _checked(table, column) for column in rules.columns if column.is_channel and column.column in table.columns
-    )
+    there = (rule for rule in rules.columns if rule.is_channel and rule.column in table.columns)
+    return tuple(_checked(table, rule) for rule in there)
 
 
 def _inspected(path: Path, rules: ImportMap, table: Table) -> Seen:
@@ -262,20 +257,21 @@ def _inspected(path: Path, rules: ImportMap, table: Table) -> Seen:
     if not paused:
         flags, more = plausible.stopped(t, checked, flags, held=_held(rules))
         found += more
+    last = "", 1, len(t) - 1, float(t[-1])
     if table.cut_end:
         flags[-1] |= np.uint16(Flag.SUSPECT)
         text = "the file ends within its last row or part: the last number may be cut"
-        found.append(Found("note", "cut-end", text, "", 1, len(t) - 1, float(t[-1])))
+        found.append(Found("note", "cut-end", text, *last))
     if table.cut_row:
-        found.append(Found("doubt", "cut-row", table.cut_row, "", 1, len(t) - 1, float(t[-1])))
+        found.append(Found("doubt", "cut-row", table.cut_row, *last))
     found += [Found("doubt", "contradiction", text) for text in table.doubts]
     if table.left_out:
         text = f"columns that the map does not name are not taken: {', '.join(table.left_out)[:400]}"
         found.append(Found("note", "left-out", text))
     values = {**others, **{channel.rule.role: channel.si for channel in checked}}
-    if rules.test.follows in values and rules.trials.by != "gap":
-        doubt = quality.against_sign(flags, values, rules.test.follows)
-        found += [doubt] if doubt else []
+    follows = rules.test.follows
+    if follows in values and rules.trials.by != "gap" and (doubt := quality.against_sign(flags, values, follows)):
+        found.append(doubt)
     declared = rules.column("pressure")
     if rules.test.timed and declared is not None and (late := pressure_late(t, values, flags)):
         found.append(replace(late, level="note") if any(declared.late_by) else late)
@@ -298,7 +294,7 @@ def _checked(table: Table, rule: ColumnRule) -> Checked:
     raw = table.columns[rule.column]
     if rule.back != (1.0, 0.0):
         raw = (raw - rule.back[1]) / rule.back[0]
-    if rule.whole and bool(np.all(quality.whole_counts(raw))) and float(np.abs(raw).max()) < 2**31 - 1:
+    if rule.whole and np.all(quality.whole_counts(raw)) and np.abs(raw).max() < 2**31 - 1:
         raw = np.round(raw)
     with np.errstate(over="ignore", invalid="ignore"):
         return Checked(rule, raw, raw * rule.slope + rule.offset)
@@ -322,8 +318,8 @@ def _named(path: Path, rules: ImportMap, started: datetime | None) -> Named:
     point |= {key: number_in(data[key]) * factor for key, factor in rule.factors.items() if key in data}
     if "date" in data:
         try:
-            at = datetime.strptime(data["date"] + data.get("clock", "000000"), "%Y-%m-%d%H%M%S")
-            started = at.replace(tzinfo=UTC)
+            stamp = f"{data['date']}{data.get('clock', '000000')}+0000"
+            started = datetime.strptime(stamp, "%Y-%m-%d%H%M%S%z")
         except ValueError as error:
             raise invalid(path, f'the name of its {rule.of} is no date: "{data["date"]}"') from error
     return Named(point, int(data.get("test", "0")), started)
@@ -335,11 +331,9 @@ def _notes(path: Path, pattern: str | None) -> tuple[str, bytes] | None:
     found = sorted(p for p in path.resolve().parent.iterdir() if fnmatchcase(p.name, pattern) and p.is_file())
     if len(found) > 1:
         raise invalid(path, f'more than one file of notes fits "{pattern}": {found[0].name}, {found[1].name}')
-    if not found:
-        return None
-    if found[0].stat().st_size > NOTES_BYTES:
+    if found and found[0].stat().st_size > NOTES_BYTES:
         raise invalid(found[0], f"is larger than {NOTES_BYTES} bytes: no notes")
-    return found[0].name, found[0].read_bytes()
+    return (found[0].name, found[0].read_bytes()) if found else None
 
 
 def _is_int(channel: Checked) -> bool:

@@ -6,7 +6,7 @@ Every rule uses numbers alone and reports the samples that it flags.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -51,12 +51,32 @@ OPPOSITE = -0.5
 
 
 def codes(report: Report, channel: Checked, looked_at: Bools) -> Bools:
-    """Flag codes for "no value"; returns the samples of `looked_at`, shape (n,), that remain."""
-    left = looked_at.copy()
-    for code, where in _codes(channel, left, channel.rule.role.endswith("command")):
-        text = f"reads exactly {code:.10g}, far from its other readings: a code for no value, or for beyond the range"
-        report.mark(where, Flag.DROPOUT, "doubt", "sentinel", text, channel.rule.role)
-        left &= ~where
+    """Flag codes for "no value" that are distinct from a channel's other readings.
+
+    Returns the samples of `looked_at`, shape (n,), that remain.
+    """
+    left, numbers, command = looked_at.copy(), channel.numbers, channel.rule.role.endswith("command")
+    hits = _hits(numbers, looked_at)
+    others = numbers[np.logical_and.reduce([looked_at, *(~here for here in hits.values())])]
+    if not hits or len(others) < 2:
+        return left
+    low, high = float(others.min()), float(others.max())
+    span = max(high - low, 1e-9 * max(abs(low), abs(high)))
+    outside = (3.0 if command else BEYOND) * span
+    for code, here in hits.items():
+        if code == 0.0:
+            brief = here & ~_longer(here, BURST)
+            where = brief & _leaps(numbers, brief, left, BEYOND * span)
+        elif abs(code) > 100 and (code < low - outside or code > high + outside):
+            where = here
+        else:
+            where = here & _leaps(numbers, here, left, BEYOND * span)
+        if where is here or not command:
+            text = (
+                f"reads exactly {code:.10g}, far from its other readings: a code for no value, or for beyond the range"
+            )
+            report.mark(where, Flag.DROPOUT, "doubt", "sentinel", text, channel.rule.role)
+            left &= ~where
     return left
 
 
@@ -77,41 +97,14 @@ def bursts(report: Report, channel: Checked, looked_at: Bools) -> Bools:
     return left & ~held
 
 
-def _codes(channel: Checked, looked_at: Bools, command: bool) -> Iterator[tuple[float, Bools]]:
-    """Each code that occurs, and a mask of its samples that are distinct from the channel's other readings."""
-    back = channel.rule.back
-    numbers = channel.raw if back == (1.0, 0.0) else channel.raw * back[0] + back[1]
-    hits = _hits(numbers, looked_at)
-    if not hits:
-        return
-    others = looked_at & ~np.logical_or.reduce(list(hits.values()))
-    if others.sum() < 2:
-        return
-    low, high = float(numbers[others].min()), float(numbers[others].max())
-    span = max(high - low, 1e-9 * max(abs(low), abs(high)))
-    outside = (3.0 if command else BEYOND) * span
-    for value, here in hits.items():
-        if value == 0.0:
-            brief = here & ~_longer(here, BURST)
-            where = brief & _leaps(numbers, brief, looked_at, BEYOND * span)
-        elif abs(value) > 100 and (value < low - outside or value > high + outside):
-            where = here
-        else:
-            where = here & _leaps(numbers, here, looked_at, BEYOND * span)
-        if where is here or not command:
-            yield value, where
-
-
 def _hits(numbers: Array, looked_at: Bools) -> dict[float, Bools]:
     """Mask of the samples equal to each code, to seven digits, because other programs may have rounded it."""
     every = np.array(sorted({sign * code for code in CODES for sign in (1.0, -1.0)} - {1.0}))
     place = np.minimum(np.searchsorted(every, numbers - 1e-7 * np.abs(numbers)), len(every) - 1)
     rows = np.flatnonzero(looked_at & (np.abs(numbers - every[place]) <= 1e-7 * np.abs(every[place])))
-    found: dict[float, Bools] = {}
-    for code in np.unique(every[place[rows]]).tolist():
-        found[code] = np.zeros(len(numbers), dtype=bool)
-        found[code][rows[every[place[rows]] == code]] = True
-    return found
+    hit = np.full(len(numbers), np.nan)
+    hit[rows] = every[place[rows]]
+    return {code: hit == code for code in np.unique(hit[rows]).tolist()}
 
 
 def _longer(where: Bools, most: int) -> Bools:
@@ -131,14 +124,21 @@ def _leaps(numbers: Array, here: Bools, looked_at: Bools, least: float) -> Bools
         if begin and abs(numbers[begin] - numbers[begin - 1]) <= least:
             continue
         at = int(np.searchsorted(rows, begin))
-        before, after = rows[max(0, at - NEARBY) : at], rows[at : at + NEARBY]
-        if len(before) < 3 or len(after) < 3:
-            continue
-        steps = max(float(np.abs(np.diff(numbers[side])).max()) for side in (before, after))
-        entry, leave = abs(numbers[begin] - numbers[before[-1]]), abs(numbers[end - 1] - numbers[after[0]])
-        returns = abs(numbers[after[0]] - numbers[before[-1]]) <= AS_LARGE * min(entry, leave) + steps
-        out[begin:end] = min(entry, leave) > max(LEAP * steps, least) and returns
+        before, after = numbers[rows[max(0, at - NEARBY) : at]], numbers[rows[at : at + NEARBY]]
+        enough = len(before) >= 3 and len(after) >= 3
+        out[begin:end] = enough and _comes_back(before, (numbers[begin], numbers[end - 1]), after, least, 1.0)
     return out
+
+
+def _comes_back(before: Array, ends: tuple[float, float], after: Array, least: float, slack: float) -> bool:
+    """Whether a stretch with these `ends` is entered and left by a jump above `least`, between about the same level.
+
+    `slack`: allowed difference of the level, in the largest changes nearby.
+    """
+    usual = max(float(np.abs(np.diff(side)).max()) for side in (before, after))
+    size = min(abs(ends[0] - before[-1]), abs(ends[1] - after[0]))
+    returns = abs(after[0] - before[-1]) <= AS_LARGE * size + slack * usual
+    return bool(size > max(LEAP * usual, least) and returns)
 
 
 def _far(si: Array, looked_at: Bools) -> Bools:
@@ -187,14 +187,10 @@ def _held(t: Array, si: Array, looked_at: Bools) -> Bools:
     lengths = ends - begins
     brief = t[rows[np.minimum(ends, len(rows) - 1)]] - t[rows[begins]] <= BRIEF
     likely = brief & (lengths >= 2) & (lengths <= HELD) & (leap > least)
-    for begin, end in list(zip(begins[likely].tolist(), ends[likely].tolist(), strict=True)):
+    for begin, end in zip(begins[likely].tolist(), ends[likely].tolist(), strict=True):
         before, after = values[max(0, begin - NEARBY) : begin], values[end : end + NEARBY]
-        if len(before) < BURST or len(after) < BURST:
-            continue
-        usual = max(float(np.abs(np.diff(side)).max()) for side in (before, after))
-        size = min(abs(values[begin] - before[-1]), abs(values[begin] - after[0]))
-        if size > LEAP * usual and abs(after[0] - before[-1]) <= AS_LARGE * size:
-            out[rows[begin:end]] = True
+        enough = len(before) >= BURST and len(after) >= BURST
+        out[rows[begin:end]] = enough and _comes_back(before, (values[begin],) * 2, after, 0.0, 0.0)
     return out
 
 
@@ -237,7 +233,7 @@ def _time(report: Report, rate: tuple[float, float], gap: float, leap: float) ->
     seen = 1.0 / float(np.median(forward))
     if not rate[0] <= seen <= rate[1]:
         text = f"the median rate is {seen:.4g} Hz, expected {rate[0]:g} to {rate[1]:g} Hz: is the unit of time right?"
-        report.found.append(Found("doubt", "rate", text))
+        report.add("doubt", "rate", text)
     latest = np.maximum.accumulate(t)
     back = steps < 0
     if back.any():
@@ -255,11 +251,9 @@ def _time(report: Report, rate: tuple[float, float], gap: float, leap: float) ->
 
 def _twice(report: Report, channels: Sequence[Checked]) -> None:
     """Flag rows that repeat the one before, including the time."""
-    same = np.concatenate([[False], np.diff(report.t) == 0])
-    for channel in channels:
-        same &= np.concatenate([[False], np.diff(channel.raw) == 0])
+    same = np.logical_and.reduce([np.diff(values) == 0 for values in (report.t, *(each.raw for each in channels))])
     if channels:
-        report.mark(same, Flag.SUSPECT, "note", "twice", "the row before is repeated")
+        report.mark(np.flatnonzero(same) + 1, Flag.SUSPECT, "note", "twice", "the row before is repeated")
 
 
 def _channel(report: Report, channel: Checked) -> None:
@@ -274,7 +268,7 @@ def _channel(report: Report, channel: Checked) -> None:
     report.mark(absurd, Flag.SUSPECT, "fault", "absurd", text, name)
     out = nothing | absurd
     if rule.dropout is not None:
-        cut = _equals(raw, rule.dropout)
+        cut = np.abs(raw - rule.dropout) <= 1e-6 * max(1.0, abs(rule.dropout))
         text = f"reads {rule.dropout:g} {rule.raw_unit}, as a cut wire does"
         report.mark(cut, Flag.DROPOUT, "doubt", "dropout", text, name)
         out = out | cut
@@ -282,19 +276,14 @@ def _channel(report: Report, channel: Checked) -> None:
     if rule.whole:
         _whole(report, channel, looked_at)
     low, high = rule.low, rule.high
-    beyond = ((channel.si < low) | (channel.si > high)) & looked_at
-    if rule.whole:
-        beyond |= ((channel.si == low) | (channel.si == high)) & looked_at
+    beyond = (channel.si < low) | (channel.si > high) | (rule.whole & ((channel.si == low) | (channel.si == high)))
+    beyond &= looked_at
     bounds = f"{show(low, rule.quantity, 4)} to {show(high, rule.quantity, 4)}"
     level = "doubt" if float(np.mean(beyond)) > OFTEN else "note"
     report.mark(beyond, Flag.OVERRANGE, level, "out-of-range", f"is at or beyond its range, {bounds}", name)
     if rule.stale_after is not None:
         _stale(report, channel, rule.stale_after)
     spikes(report, channel, bursts(report, channel, looked_at & ~beyond))
-
-
-def _equals(raw: Array, value: float) -> Bools:
-    return np.asarray(np.abs(raw - value) <= 1e-6 * max(1.0, abs(value)))
 
 
 def whole_counts(raw: Array) -> Bools:
@@ -309,10 +298,8 @@ def _whole(report: Report, channel: Checked, looked_at: Bools) -> None:
     share = float(odd.sum()) / max(1, int(looked_at.sum()))
     name = channel.rule.role
     if share > WHOLE_SHARE:
-        text = (
-            f"{share:.0%} of the readings are no whole counts: this file was not recorded with the scale that the map "
-            "says, or was rewritten; nothing of it enters a fit"
-        )
+        text = f"{share:.0%} of the readings are no whole counts: this file was not recorded with the scale that the "
+        text += "map says, or was rewritten; nothing of it enters a fit"
         report.mark(looked_at, Flag.SUSPECT, "fault", "not-whole", text, name)
     else:
         report.mark(odd, Flag.SUSPECT, "doubt", "not-whole", "the reading is no whole count", name)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,7 @@ from pmabench.store.importers.motion import Level, later
 from pmabench.store.records import UNUSABLE, Array, Flag, Flags
 
 POINT = "point of "
+Found = TypeVar("Found")
 
 
 @dataclass(frozen=True)
@@ -92,6 +93,11 @@ class _Rows:
         return self.t[rows], {name: column[rows] for name, column in self.values.items() if name in CHANNEL_QUANTITY}
 
     @property
+    def points(self) -> dict[str, Array]:
+        """Columns with coordinates of the operating point, by coordinate."""
+        return {name[len(POINT) :]: column for name, column in self.values.items() if name.startswith(POINT)}
+
+    @property
     def smallest(self) -> float:
         """Smallest change of pressure that counts [Pa]."""
         return self.rules.trials.smallest or 0.0
@@ -106,25 +112,25 @@ class _Rows:
         if not self.smallest:
             return []
         if self.driven == "pressure":
-            seen, grid = self.rising, self.smallest / 4
+            grid = self.smallest / 4
             return [
                 replace(each, before=round(each.before / grid) * grid, value=round(each.value / grid) * grid)
-                for each in motion.levels(self.t[seen], self.values["pressure"][seen], self.smallest)
+                for each in self.found(motion.levels, "pressure")
             ]
         t, command = self.t[self.good], self.values[self.driven][self.good]
         at = np.flatnonzero(np.abs(np.diff(command)) >= self.smallest) + 1
-        return [
-            Level(float(t[i]), float(t[i] - t[i - 1]), float(command[i - 1]), float(command[i]), float(t[i]))
-            for i in at
-        ]
+        steps = zip(t[at - 1].tolist(), t[at].tolist(), command[at - 1].tolist(), command[at].tolist(), strict=True)
+        return [Level(now, now - before, low, high, now) for before, now, low, high in steps]
+
+    def found(self, motions: Callable[[Array, Array, float], list[Found]], channel: str) -> list[Found]:
+        """Steps, cycles or sines of a channel, in its samples that are good and later than all before them."""
+        return motions(self.t[self.rising], self.values[channel][self.rising], self.smallest)
 
     def command(self, step: Level) -> dict[str, Any]:
         """Data of a `command` event, with `t`; with `found` if it was detected in the measured pressure."""
-        command = {
-            "t": step.t, "output": "pressure", "type": "set", "value": step.value, "before": step.before,
-            "phase": "step", "within": step.within,
-        }  # fmt: skip
-        return {**command, "found": 1.0} if self.driven == "pressure" else command
+        levels = {"t": step.t, "output": "pressure", "type": "set", "value": step.value, "before": step.before}
+        found = {"found": 1.0} if self.driven == "pressure" else {}
+        return {**levels, "phase": "step", "within": step.within, **found}
 
     def commanded_steps(self) -> list[dict[str, Any]]:
         """Commands of the recorded steps; empty without a recorded command."""
@@ -150,10 +156,9 @@ def segments(
     """
     rows = _Rows(t, values, flags, rules, point)
     phases = _phases(rows)
-    found = [
-        replace(part, phases=part.phases or tuple(p for p in phases if part.begin <= p[0] <= part.end))
-        for part in CUTS[rules.trials.by](rows)
-    ]
+    found = CUTS[rules.trials.by](rows)
+    inside = (tuple(phase for phase in phases if part.begin <= phase[0] <= part.end) for part in found)
+    found = [replace(part, phases=part.phases or mine) for part, mine in zip(found, inside, strict=True)]
     return (found, []) if rules.test.recording else _as_own(found, rows)
 
 
@@ -162,30 +167,23 @@ def _as_own(found: Sequence[Segment], all_rows: _Rows) -> tuple[list[Segment], l
 
     Coordinates come from the map, else from columns, else from the commands.
     """
-    rules = all_rows.rules
+    rules, how = all_rows.rules, all_rows.rules.test.commanded
     parts, doubts = list[Segment](), list[str]()
     hanging = 0
-    commanded = "pressure_command" in all_rows.values
-    how = rules.test.commanded
     if how and how.sine:
         found = [each for part in found for each in _sine_by_sine(part, how, all_rows)]
-    for number, part in enumerate(found):
+    for number, part in enumerate(found, 1):
         commands, known = commands_of(how, *all_rows.of(part), rules.trials.smallest) if how else ([], {})
         part = _at_one_point(part, commands, all_rows)
         rows, (t, mine) = all_rows.between(part), all_rows.of(part)
         columns: dict[str, float] = {}
-        for name, column in all_rows.values.items():
-            if not name.startswith(POINT):
-                continue
-            here = column[rows][np.isfinite(column[rows])]
+        for name, column in all_rows.points.items():
+            here = column[rows & np.isfinite(column)]
             if len(here) and np.ptp(here) <= 1e-6 * float(np.abs(here).max()):
-                columns[name.removeprefix(POINT)] = float(here[0])
+                columns[name] = float(here[0])
             elif len(here):
-                low, high = float(here.min()), float(here.max())
-                doubts.append(
-                    f"trial {number + 1}: the column of {name.removeprefix(POINT)} goes from {low:.6g} to {high:.6g} "
-                    "[SI] within it, so it is not taken: cut the file into trials in which it is the same"
-                )
+                text = f"trial {number}: the column of {name} goes from {here.min():.6g} to {here.max():.6g} [SI] "
+                doubts.append(f"{text}within it, so it is not taken: cut the file into trials in which it is the same")
         point = {**known, **columns, **part.point}
         if rules.test.loaded and "load" in point and "mass" not in point:
             point["mass"] = point["load"] / G
@@ -195,15 +193,13 @@ def _as_own(found: Sequence[Segment], all_rows: _Rows) -> tuple[list[Segment], l
             known |= {} if load is None else {"load": load}
             point = {**known, **point}
         searched = lift_and_set_down(t, mine) if rules.test.lifted else []
-        given = {*columns, *part.point, *(["pressure"] if commanded else [])}
+        given = {*columns, *part.point, *(["pressure"] if "pressure_command" in all_rows.values else [])}
         own = tuple(name for name in known if name in LIKE and name not in given and np.isfinite(known[name]))
         made = tuple(commands) or part.commands
         parts.append(replace(part, point=point, commands=made, found=tuple(searched), measured=own))
     if hanging:
-        doubts.append(
-            f"the moving mass of {hanging} trials is not given, so that of the load is taken; what moves with it "
-            "(hanger, carriage) belongs to it: a column or `point: {mass: ...}` gives it"
-        )
+        text = f"the moving mass of {hanging} trials is not given, so that of the load is taken; what moves with it "
+        doubts.append(f"{text}(hanger, carriage) belongs to it: a column or `point: {{mass: ...}}` gives it")
     return parts, doubts
 
 
@@ -225,9 +221,7 @@ def _at_one_point(part: Segment, commands: Sequence[Mapping[str, Any]], all_rows
     if commands[-1]["type"] == "ramp":
         last += abs(commands[-1]["value"] - commands[-1]["before"]) / commands[-1]["rate"]
     t, begin, end = all_rows.t, part.begin, part.end
-    for name, column in all_rows.values.items():
-        if not name.startswith(POINT):
-            continue
+    for column in all_rows.points.values():
         rows = np.flatnonzero(all_rows.between(part) & np.isfinite(column))
         for n in np.flatnonzero(np.diff(column[rows])):
             before, after = float(t[rows[n]]), float(t[rows[n + 1]])
@@ -240,18 +234,16 @@ def _at_one_point(part: Segment, commands: Sequence[Mapping[str, Any]], all_rows
 
 def _by_step(rows: _Rows) -> list[Segment]:
     steps, lead, (begin, end) = rows.steps(), rows.rules.trials.lead, rows.whole
-    ends = [step.t - lead - 1e-5 for step in steps[1:]] + [end]
-    points = [{**rows.point, "from": step.before, "pressure": step.value} for step in steps]
-    return [
-        Segment(max(step.t - lead, begin), until, point, (rows.command(step),))
-        for step, until, point in zip(steps, ends, points, strict=False)
-    ]
+    parts = []
+    for step, until in zip(steps, [*(step.t - lead - 1e-5 for step in steps[1:]), end], strict=False):
+        point = {**rows.point, "from": step.before, "pressure": step.value}
+        parts.append(Segment(max(step.t - lead, begin), until, point, (rows.command(step),)))
+    return parts
 
 
 def _by_level(rows: _Rows) -> list[Segment]:
     """Stretches of constant pressure, from the end of one step to the begin of the next."""
-    seen, (begin, end) = rows.rising, rows.whole
-    changes = motion.levels(rows.t[seen], rows.values[rows.driven][seen], rows.smallest)
+    (begin, end), changes = rows.whole, rows.found(motion.levels, rows.driven)
     begins = [begin, *(change.settled for change in changes)]
     ends = [*(change.t - 1e-5 for change in changes), end]
     return [Segment(at, until, rows.point) for at, until in zip(begins, ends, strict=True)]
@@ -279,7 +271,7 @@ def _by_ramp(rows: _Rows) -> list[Segment]:
 def _by_sine(rows: _Rows) -> list[Segment]:
     """Stretches of one sine of the command, else of the measured pressure; the point is its frequency."""
     parts = []
-    for wave in motion.waves(rows.t[rows.rising], rows.values[rows.driven][rows.rising], rows.smallest):
+    for wave in rows.found(motion.waves, rows.driven):
         point = {**rows.point, "frequency": float(f"{wave.frequency:.4g}")}
         parts.append(Segment(wave.begin, wave.end, point, (sine_command(wave, "pressure"),)))
     return parts
@@ -313,11 +305,8 @@ def _by_column(rows: _Rows) -> list[Segment]:
     """Stretches with one number in the column of trials; 0 and NaN are no trial."""
     number = np.where(np.isfinite(rows.values["trial"]), rows.values["trial"], 0.0)
     edges = np.flatnonzero(np.diff(number, prepend=0.0, append=0.0))
-    return [
-        Segment(float(rows.t[first:last].min()), float(rows.t[first:last].max()), rows.point)
-        for first, last in pairwise(edges)
-        if number[first] != 0
-    ]
+    parts = (rows.t[first:last] for first, last in pairwise(edges) if number[first] != 0)
+    return [Segment(float(t.min()), float(t.max()), rows.point) for t in parts]
 
 
 def _by_command(rows: _Rows) -> list[Segment]:
@@ -356,9 +345,6 @@ def _phases(rows: _Rows) -> list[tuple[float, str]]:
     if column is not None and "phase" in rows.values and rows.good.any():
         marks, times = rows.values["phase"][rows.good], rows.t[rows.good]
         first = np.concatenate([[True], marks[1:] != marks[:-1]])
-        return [
-            (float(at), column.marks[float(mark)])
-            for at, mark in zip(times[first], marks[first], strict=True)
-            if float(mark) in column.marks
-        ]
+        begins = zip(times[first].tolist(), marks[first].tolist(), strict=True)
+        return [(at, column.marks[mark]) for at, mark in begins if mark in column.marks]
     return [(max(rows.whole[0], at), name) for name, at in rows.rules.trials.phases.items()]

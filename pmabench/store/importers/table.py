@@ -11,6 +11,7 @@ import weakref
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
+from io import SEEK_END
 from itertools import pairwise
 from pathlib import Path
 from typing import IO, Any
@@ -42,52 +43,37 @@ class Columns(Mapping[str, Array]):
     def __init__(self) -> None:
         """Begin without columns; the first piece gives their names."""
         self.rows = 0
-        self._pieces: dict[str, list[Array]] = {}
         self._files: dict[str, IO[bytes]] = {}
         weakref.finalize(self, _close, self._files)
 
     def append(self, piece: Mapping[str, Array]) -> None:
         """Add rows at the end. Raises OSError where the folder for temporary files is full."""
-        if not self._pieces:
-            self._pieces = {name: [] for name in piece}
+        if not self._files:
+            most = max(1, KEPT // max(1, len(piece)))  # bytes of a column in memory
+            self._files |= {name: tempfile.SpooledTemporaryFile(most) for name in piece}  # noqa: SIM115
         for name, values in piece.items():
-            if self._files:
-                self._files[name].write(np.ascontiguousarray(values, dtype=np.float64).data)
-            else:
-                self._pieces[name].append(values)
+            self._files[name].seek(0, SEEK_END)
+            self._files[name].write(np.ascontiguousarray(values, dtype=np.float64).data)
         self.rows += len(next(iter(piece.values()), ()))
-        if not self._files and 8 * self.rows * len(self._pieces) > KEPT:
-            self._to_disk()
-
-    def _to_disk(self) -> None:
-        for name, pieces in self._pieces.items():
-            file = self._files[name] = tempfile.TemporaryFile()  # noqa: SIM115  # lives as long as the columns
-            while pieces:
-                file.write(np.ascontiguousarray(pieces.pop(0), dtype=np.float64).data)
 
     def part(self, begin: int, end: int) -> dict[str, Array]:
         """Rows `begin` to `end` (exclusive) of all columns."""
         return {name: self._read(name, begin, end) for name in self}
 
     def _read(self, name: str, begin: int, end: int) -> Array:
-        if not self._files:
-            pieces = self._pieces[name]
-            if len(pieces) > 1:
-                pieces[:] = [np.concatenate(pieces)]
-            return pieces[0][begin:end] if pieces else np.empty(0)
-        file = self._files[name]
-        file.flush()
-        file.seek(8 * begin)
-        return np.fromfile(file, dtype=np.float64, count=end - begin)
+        values = np.empty(max(0, min(end, self.rows) - begin))
+        self._files[name].seek(8 * begin)
+        self._files[name].readinto(values.data)  # type: ignore[attr-defined]
+        return values
 
     def __getitem__(self, name: str) -> Array:
         return self._read(name, 0, self.rows)
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._pieces)
+        return iter(self._files)
 
     def __len__(self) -> int:
-        return len(self._pieces)
+        return len(self._files)
 
 
 MAX_BYTES = 2_000_000_000
@@ -209,12 +195,9 @@ def read_all(path: Path, layout: Layout) -> tuple[dict[str, Array], dict[str, st
 def _other_matrices(columns: Mapping[str, Array], time: str) -> list[str]:
     """Doubts about channels that belong to another matrix than the time."""
     of = {name: name.partition("(:,")[0] for name in columns if "(:," in name}
-    others = [name for name, matrix in of.items() if time in of and matrix != of[time]]
-    if not others:
-        return []
-    return [
-        f'the time is "{time}", and {", ".join(others)[:200]} of other matrices: nothing says that they go together'
-    ]
+    others = ", ".join(name for name, matrix in of.items() if time in of and matrix != of[time])[:200]
+    text = f'the time is "{time}", and {others} of other matrices: nothing says that they go together'
+    return [text] if others else []
 
 
 def _read(path: Path, question: Mapping[str, Any], stamps: Stamps | None, most: int | None) -> Table:
@@ -255,7 +238,7 @@ def _line_of_units(head: Mapping[str, Any]) -> Sequence[str]:
     """
     if step_in(head.get("head", ())):
         return ()
-    lines = ([str(text) for text in line] for line in reversed(head.get("above", ())))
+    lines = reversed(head.get("above", ()))
     return next((line for line in lines if 2 * sum(bool(spelled(text)) for text in line) > len(line)), ())
 
 
@@ -311,11 +294,8 @@ class _Rows:
             raise invalid(self.path, text)
         sequence = len(t) > 2 and bool(np.all(np.diff(t) == 1.0))
         if stamps.written == "number" and step is not None and sequence:
-            text = (
-                f'"{stamps.column}" counts samples, and the header gives Start {step[0]:g} s and Increment '
-                f'{step[1]:g} s: say "written: header step"'
-            )
-            raise invalid(self.path, text)
+            text = f'"{stamps.column}" counts samples, and the header gives Start {step[0]:g} s and Increment '
+            raise invalid(self.path, f'{text}{step[1]:g} s: say "written: header step"')
         return Clock(stamps, step)
 
 
@@ -327,10 +307,8 @@ def _check_size(path: Path, most: int) -> None:
         raise invalid(path, "is not a file" if path.exists() else "there is no such file")
     with reading(path):
         size = path.stat().st_size
-    if size == 0:
-        raise invalid(path, "is empty")
-    if size > most:
-        raise invalid(path, f"is larger than {most // 1_000_000} MB; import it in parts")
+    if not 0 < size <= most:
+        raise invalid(path, f"is larger than {most // 1_000_000} MB; import it in parts" if size else "is empty")
 
 
 def content_of(path: Path, most: int | None = None) -> bytes:

@@ -9,6 +9,7 @@ import json
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
@@ -183,19 +184,18 @@ def threshold_of(guess: Guess) -> tuple[Asked, list[str]] | None:
         F, low, top = -F, -low, -top
     near = np.abs(F - (low + top) / 2) < abs(top - low)  # forces out of range are left to the checks of the import
     near &= ~lone(P) & ~lone(F)
-    slopes = [slope for share in SHARES if (slope := _slope(P[near], F[near], low + share * (top - low)))]
+    P, F = P[near], F[near]
+    levels = [low + share * (top - low) for share in SHARES]
+    slopes = [m for level in levels if (m := slope(P[level < F], F[level < F])) and np.isfinite(m)]
     if len(slopes) < len(SHARES):
         return None
     spread = (max(slopes) - min(slopes)) / abs(slopes[-1])
     if spread <= CHANGES:
         return None
-    known = force.unit if QUANTITY.get(force.unit) == "force" and not force.factor else ""
-    if force.unit in WEIGHT and not force.factor:  # the map converts to newtons
-        known, low, top = "N", low * WEIGHT[force.unit], top * WEIGHT[force.unit]
-    at = [f"{low + share * (top - low):.2g} {known}".strip() for share in SHARES]
-    sentence = "; ".join(
-        f"{place}: {100 * (slope / slopes[-1] - 1):+.1f} %" for place, slope in zip(at, slopes, strict=True)
-    )
+    weight = 1.0 if force.factor else WEIGHT.get(force.unit, 1.0)  # the map converts to newtons
+    known = "N" if weight != 1.0 else force.unit if QUANTITY.get(force.unit) == "force" and not force.factor else ""
+    at = [f"{level * weight:.2g} {known}".strip() for level in levels]
+    sentence = "; ".join(f"{place}: {100 * (m / slopes[-1] - 1):+.1f} %" for place, m in zip(at, slopes, strict=True))
     head = "from which force on do samples count? Below it the muscle hangs slack, and the slope moves by"
     text = f"{head} {100 * spread:.2g} % (against the slope above {at[-1]}: above {sentence})"
     if not known:
@@ -203,19 +203,11 @@ def threshold_of(guess: Guess) -> tuple[Asked, list[str]] | None:
     return Asked(at[2], text), [at[1], at[3]]
 
 
-def _slope(P: Array, F: Array, above: float = -np.inf) -> float:
-    """Slope of the straight line through the samples above a force; 0 where there is none."""
-    with np.errstate(all="ignore"):  # damaged files hold numbers of any size
-        found = slope(P[above < F], F[above < F]) or 0.0
-    return found if np.isfinite(found) else 0.0
-
-
 def two_clocks(columns: list[Proposal]) -> Iterator[Asked]:
     """Question which of two time columns is right, if their duration or their times in each row disagree."""
-    time = next((column for column in columns if column.role == "time"), None)
-    for other in columns if time is not None else ():
-        if time is None or not any(reason.startswith("a second time") for reason in other.reasons):
-            continue
+    times = [column for column in columns if column.role == "time"][:1]
+    seconds = [c for c in columns if any(reason.startswith("a second time") for reason in c.reasons)]
+    for time, other in product(times, seconds):
         one, two = _both(_in_seconds(time), _in_seconds(other))
         if not len(one):
             continue

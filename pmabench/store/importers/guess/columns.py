@@ -6,7 +6,7 @@ Pure functions of names and arrays; reads no file. Every choice has reasons, and
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from math import isfinite
 from pathlib import Path
@@ -72,6 +72,20 @@ class Proposal:
         return len(middles) > 1 and float(np.ptp(middles)) > STILL / METRES.get(self.unit, 1e-3)
 
 
+@dataclass(frozen=True)
+class Names:
+    """Information in the names of files or folders."""
+
+    of: str = "file"
+    forms: Sequence[str] = ()
+    units: Mapping[str, str] = field(default_factory=dict)
+    comma: bool = False
+    """Whether numbers have a decimal comma."""
+    asked: Mapping[str, str] = field(default_factory=dict)
+    """Key of a form -> reason to ask whether the number has this meaning."""
+    keys: Set[str] = frozenset()
+
+
 @dataclass
 class Guess:
     """All that was found; `columns` in the order of the file."""
@@ -87,12 +101,8 @@ class Guess:
     """Entries of the map's `trials`, as text."""
     smallest_of: str = "pressure_command"
     """Role of the channel in whose unit `smallest` of `trials` is given."""
-    forms: list[str] = field(default_factory=list)
-    form_of: str = "file"
-    form_units: dict[str, str] = field(default_factory=dict)
-    form_comma: bool = False
-    form_asked: dict[str, str] = field(default_factory=dict)
-    """Key of a form -> reason to ask whether a number in the names has this meaning."""
+    names: Names = field(default_factory=Names)
+    """Of the files or their folders; without forms if they give nothing."""
     rate: tuple[float, float] = (1.0, 1000.0)
     gap: float = 1.0
     reasons: dict[str, list[str]] = field(default_factory=dict)
@@ -120,7 +130,7 @@ class Guess:
 
     def open_point(self, name: str) -> bool:
         """Whether the test needs a coordinate that no name of a file or folder gives."""
-        return name in self.test.point and not any(f"{{{name}}}" in form for form in self.forms)
+        return name in self.test.point and not any(f"{{{name}}}" in form for form in self.names.forms)
 
     def role(self, role: str) -> Proposal | None:
         """The column with a role; None without one."""
@@ -283,10 +293,10 @@ def _by_name(proposal: Proposal) -> None:
     quantity = QUANTITY.get(proposal.unit, "")
     hits = {role for role, known in WORDS.items() if own & known}
     text = f'called "{proposal.name[:40]}"' + (f", in {proposal.unit}" if proposal.unit else "")
-    role = "ignore"
+    role, free = "ignore", quantity in {"", "reading"}
     if quantity == "time" or (hits - {"trial"} == {"time"} and quantity == ""):
         role = "time"
-    elif quantity == "flow" or ("flow" in hits and quantity in {"", "reading"}):
+    elif quantity == "flow" or ("flow" in hits and free):
         role = "flow"
     elif hits - {"other"} == {"trial"} and quantity == "" and _numbers_trials(proposal.good):
         role = "trial"
@@ -295,15 +305,16 @@ def _by_name(proposal: Proposal) -> None:
     elif "ambient" in hits or ("other" in hits and not ("pressure" in hits or quantity in OF_MUSCLE)):
         proposal.reasons.append(f"{text}: none of the channels of a muscle's test")
         return
-    elif quantity == "pressure" or (quantity in {"", "reading"} and "pressure" in hits):
+    elif quantity == "pressure" or (free and "pressure" in hits):
         role = "supply" if "supply" in hits else "pressure_command" if "command" in hits else "pressure"
-    elif quantity == "length" or (quantity in {"", "reading"} and hits & {"displacement"} and not hits & {"force"}):
+    elif quantity == "length" or (free and "displacement" in hits and "force" not in hits):
         role = "displacement_command" if "command" in hits else "displacement"
-    elif quantity == "force" or ("force" in hits and quantity in {"", "reading", "mass"}):
-        role = "ignore" if hits & {"command", "not measured"} else "force"
-        if role == "ignore":
+    elif quantity == "force" or ("force" in hits and (free or quantity == "mass")):
+        role = "force"
+        if hits & {"command", "not measured"}:
             proposal.reasons.append(f"{text}: a force that nobody measured")
-    elif hits & {"command", "time"} == {"command"} and quantity in {"", "reading"}:
+            return
+    elif hits & {"command", "time"} == {"command"} and free:
         role = "pressure_command"
     elif "phase" in hits and quantity == "":
         role = "phase"
@@ -332,13 +343,10 @@ def _one_each(proposals: Sequence[Proposal]) -> None:
         best.doubts.append(f"{len(same)} columns look like {role.replace('_', ' ')}; this one was taken")
         if role in {"pressure", "force", "displacement"}:
             names = ", ".join(f'"{p.name[:40]}"' for p in same if p is not best)
-            text = (
-                f'is "{best.name[:40]}" the measured {role}? It moves most against its scatter, but {names} may be it'
-            )
-            best.question = f"{text}; then write ignore here and {role} there"
-    pressure = [p for p in proposals if p.role == "pressure"]
+            text = f'is "{best.name[:40]}" the measured {role}? It moves most against its scatter, but {names} may be '
+            best.question = f"{text}it; then write ignore here and {role} there"
     spare = [p for p in proposals if p.role in {"supply", "pressure_command"}]
-    if not pressure and spare:
+    if spare and all(p.role != "pressure" for p in proposals):
         spare[0].doubts.append(f"no measured pressure was found; is it this {spare[0].role.replace('_', ' ')}?")
 
 
@@ -346,8 +354,7 @@ def _moves(values: Array) -> float:
     """Range of a channel divided by its scatter from sample to sample."""
     if len(values) < 3:
         return 0.0
-    scatter = float(np.median(np.abs(np.diff(values)))) or 1e-12
-    return float(np.ptp(np.quantile(values, [0.01, 0.99]))) / scatter
+    return float(np.ptp(np.quantile(values, [0.01, 0.99])) / (np.median(np.abs(np.diff(values))) or 1e-12))
 
 
 SAMPLES = {"sample", "samples", "index", "idx", "n", "no", "nr", "number", "scan", "row", "record", "count", "x"}
@@ -398,28 +405,24 @@ def counted(values: Array) -> tuple[str, str] | None:
         return None
     step = usual_step(values)
     for kind, unit, low, high in COUNTS:
-        if low <= float(values.min()) and float(values.max()) <= high and 0 < step:
-            if step <= LONGEST_STEP[unit]:
-                return kind, unit
-            if unit == "d" and step <= 1e-2:
-                return "", unit
+        inside = low <= values.min() and values.max() <= high
+        if inside and 0 < step <= max(LONGEST_STEP[unit], 1e-2 if unit == "d" else 0.0):
+            return kind if step <= LONGEST_STEP[unit] else "", unit
     return None
 
 
 def _rises(values: Array) -> bool:
-    if len(values) < 2 or not np.isfinite(values).all() or np.ptp(values) == 0:
-        return False
-    return float(np.mean(np.diff(values) >= 0)) > 0.99
+    known = len(values) > 1 and np.isfinite(values).all() and np.ptp(values) > 0
+    return bool(known and np.mean(np.diff(values) >= 0) > 0.99)
 
 
 def _choose_time(proposals: Sequence[Proposal]) -> None:
     """Choose the time: a column that increases, preferably one with such a name."""
-    named = [p for p in proposals if p.role == "time"]
-    good = [p for p in named if _rises(p.values)]
-    for proposal in named:
-        if proposal not in good:
+    for proposal in proposals:
+        if proposal.role == "time" and not _rises(proposal.values):
             proposal.role = "ignore"
             proposal.doubts.append(f"{UNLIKE_TIME}, but does not rise")
+    good = [p for p in proposals if p.role == "time"]
     if not good:
         spare = (p for p in proposals if p.role == "ignore" and not p.unit)
         good = [p for p in spare if _rises(p.values) and len(set(p.values)) > 9][:1]
@@ -454,26 +457,20 @@ def _how_written(time: Proposal) -> None:
 def _in_each_unit(time: Proposal) -> dict[str, tuple[float, float, str]]:
     """Possible unit of a time -> sampling rate [Hz], duration of the file [s], and both in words."""
     step, many = usual_step(time.values), len(time.values)
-    found = {unit: (1.0 / (step * SECONDS[unit]), step * many * SECONDS[unit]) for unit in (*USUAL, "min")}
-    return {unit: (rate, lasts, f"{rate:.4g} samples a second, {lasts:.4g} s") for unit, (rate, lasts) in found.items()}
+    found = ((unit, 1.0 / (step * SECONDS[unit]), step * many * SECONDS[unit]) for unit in (*USUAL, "min"))
+    return {unit: (rate, lasts, f"{rate:.4g} samples a second, {lasts:.4g} s") for unit, rate, lasts in found}
 
 
 def _usual_units(time: Proposal, slowest: float) -> list[str]:
     """Units in which a time has a usual duration and rate, at least `slowest` [Hz], as text."""
-    each = _in_each_unit(time)
-    if not _may_be_minutes(time):
-        del each["min"]
-    return [
-        f"{unit}: {text}"
-        for unit, (rate, lasts, text) in each.items()
-        if FASTEST >= rate >= slowest and lasts >= SHORTEST
-    ]
+    each = (way for way in _in_each_unit(time).items() if way[0] != "min" or _may_be_minutes(time))
+    return [f"{u}: {text}" for u, (rate, lasts, text) in each if FASTEST >= rate >= slowest and lasts >= SHORTEST]
 
 
 def _may_be_minutes(time: Proposal) -> bool:
     """Whether a time that would be short in seconds has a usual rate only in minutes: 50 Hz, not 3000 Hz."""
-    step, lasts = usual_step(time.values), float(np.ptp(time.values))
-    rates = np.array([1.0 / step, (len(time.values) - 1) / lasts])
+    lasts = float(np.ptp(time.values))
+    rates = np.array([1.0 / usual_step(time.values), (len(time.values) - 1) / lasts])
     usual = lasts <= FULL and bool(np.all(rates / 60.0 > 4.0 * SLOWEST))
     return usual and _is_round(rates / 60.0) and not _is_round(rates)
 
@@ -500,8 +497,7 @@ def _time_unit(time: Proposal) -> None:
 def _said_time(time: Proposal) -> None:
     """Ask for the unit of a time if the given one is implausible and another one plausible."""
     rate, lasts, text = _in_each_unit(time)[time.unit]
-    usual = _usual_units(time, 10 * SLOWEST)
-    if usual and (lasts < BRIEF or rate < RARE):
+    if (lasts < BRIEF or rate < RARE) and (usual := _usual_units(time, 10 * SLOWEST)):
         head = f'"{time.name[:40]}" is in {time.unit} by its name: {text} in all'
         time.question = f"{head}, which no test of a muscle has: which unit is it? {'; '.join(usual)}"
 
@@ -509,7 +505,7 @@ def _said_time(time: Proposal) -> None:
 def _which_time(time: Proposal) -> None:
     """Ask for the unit of a time without one, if several are possible or its heading is unclear."""
     possible = _usual_units(time, SLOWEST)
-    if possible and possible[-1].startswith("min") and len(possible) == 1:
+    if len(possible) == 1 and possible[0].startswith("min"):
         possible.insert(0, f"{time.unit}: {_in_each_unit(time)[time.unit][2]}")
     text = "; ".join(possible)
     if bool(np.all(np.diff(time.values) == 1.0)):

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from math import pi
 from pathlib import Path
 
@@ -18,10 +18,10 @@ from pmabench.base.kind import Imported
 from pmabench.store.formats.mat import is_clock, matrix_of
 from pmabench.store.formats.record import format_of
 from pmabench.store.formats.text import TextLayout
-from pmabench.store.importers.guess.columns import SECONDS, Guess, Proposal, choose, proposal
+from pmabench.store.importers.guess.columns import SECONDS, Guess, Names, Proposal, choose, proposal
 from pmabench.store.importers.guess.layout import TextGuess, guess_layout
 from pmabench.store.importers.guess.signs import choose_kind, count, share
-from pmabench.store.importers.map_file import spelled
+from pmabench.store.importers.map_file import OPEN, spelled
 from pmabench.store.importers.map_rules import NUMBER, number_in
 from pmabench.store.importers.table import content_of, read_all, read_table
 from pmabench.store.records import Array
@@ -89,25 +89,23 @@ def _look_at_text(path: Path, guessed: TextGuess, kinds: Mapping[str, Imported])
         for name in numbers
         if stamps is None or name != stamps.date
     ]
-    order = ""
-    if stamps is not None:
-        order = "??" if guessed.open_order else stamps.order if stamps.order != "year first" else ""
-    for column in columns:
-        if stamps is not None and column.name == stamps.column:
-            column.unit, column.written, column.bare, column.order = "s", stamps.written, False, order
-    choose(columns)
     words = [Proposal(name, np.empty(0), reasons=["holds words, not numbers"]) for name in guessed.texts]
-    if stamps is not None and stamps.date:
-        words.append(Proposal(stamps.date, np.empty(0), role="date", order=order, reasons=["the day of the clock"]))
+    if stamps is not None:
+        order = OPEN if guessed.open_order else stamps.order if stamps.order != "year first" else ""
+        for column in columns:
+            if column.name == stamps.column:
+                column.unit, column.written, column.bare, column.order = "s", stamps.written, False, order
+        if stamps.date:
+            words.append(Proposal(stamps.date, np.empty(0), role="date", order=order, reasons=["the day of the clock"]))
+    choose(columns)
     falls = next((c.name for c in columns if c.unit in SECONDS and is_clock(-c.values) and c.written == "number"), "")
     if falls and all(column.role != "time" for column in columns):
-        backward = f'"{falls}" falls from row to row: the newest row comes first; reverse the order of the rows'
-        raise invalid(path, backward)
+        text = "falls from row to row: the newest row comes first; reverse the order of the rows"
+        raise invalid(path, f'"{falls}" {text}')
     every = {column.name: column for column in [*columns, *words]}
-    reasons = {"file": guessed.reasons}
-    guess = Guess([path], guessed.layout, [every[name] for name in guessed.names], [], kinds, reasons=reasons)
-    time = guess.role("time")
-    if time is not None and time.written == "index":
+    guess = Guess([path], guessed.layout, [every[name] for name in guessed.names], [], kinds)
+    guess.reasons["file"] = guessed.reasons
+    if (time := guess.role("time")) is not None and time.written == "index":
         time.period = time.period or guessed.interval
     guess.period, guess.either = guessed.interval, guessed.either
     guess.tests = [str(number) for number in range(1, guessed.tests + 1)]
@@ -131,10 +129,8 @@ def _goes_on(path: Path, guessed: TextGuess, numbers: Sequence[str]) -> bool:
 def _call_by_role(guess: Guess) -> None:
     """Name unnamed columns by their roles."""
     for column in guess.columns:
-        if column.role != "ignore":
-            column.name = column.role
-    if isinstance(guess.layout, TextLayout):
-        guess.layout = guess.layout.model_copy(update={"names": [column.name for column in guess.columns]})
+        column.name = column.name if column.role == "ignore" else column.role
+    guess.layout = guess.layout.model_copy(update={"names": [column.name for column in guess.columns]})
 
 
 _PARTS = (
@@ -165,20 +161,6 @@ OTHER_LENGTH = re.compile(
 """Text before a length that may be no contraction: a letter joined to it, or one of these words."""
 
 
-@dataclass(frozen=True)
-class Names:
-    """Information in the names of files or folders."""
-
-    keys: set[str]
-    of: str
-    forms: list[str]
-    units: dict[str, str]
-    comma: bool
-    """Whether numbers have a decimal comma."""
-    asked: dict[str, str]
-    """Key -> reason to ask whether the number has this meaning."""
-
-
 def found_in(files: Sequence[Path], of: str, without: frozenset[str] = frozenset()) -> Names:
     """Information in the names of files or folders (`of`); numbers with a unit in `without` are ignored.
 
@@ -192,20 +174,20 @@ def found_in(files: Sequence[Path], of: str, without: frozenset[str] = frozenset
     for path in files:
         form = re.sub(r"[{}*]", "?", path.stem if of == "file" else path.resolve().parent.name)
         for pattern, key, unit in _PARTS:
-            found = [match for match in pattern.finditer(form) if unit not in without]
+            found = [] if unit in without else list(pattern.finditer(form))
             found.sort(key=lambda match: _doubtful(form[: match.start()]) if unit == "mm" else 0)
-            match = next(iter(found), None)
-            if match is None or "{" + key + "}" in form or (unit and units.get(key, unit) != unit):
+            if not found or "{" + key + "}" in form or (unit and units.get(key, unit) != unit):
                 continue
-            if form[: match.start()].endswith("}") or form[match.end() :].startswith("{"):
+            match, before, after = found[0], form[: found[0].start()], form[found[0].end() :]
+            if before.endswith("}") or after.startswith("{"):
                 continue
-            doubtful = _doubtful(form[: match.start()])
+            doubtful = _doubtful(before)
             if unit in WHERE_APART and (unit != "mm" or doubtful):
                 sizes.setdefault(unit, set()).add(match[0])
             if reason := _asked(match[0], unit, doubtful):
                 why.setdefault(key, f'"{form}" has {match[0]} {unit}: {reason}')
             comma |= "," in match[0]
-            form = f"{form[: match.start()]}{{{key}}}{form[match.end() :]}"
+            form = f"{before}{{{key}}}{after}"
             if unit:
                 units[key] = unit
         forms[form] = None
@@ -214,7 +196,7 @@ def found_in(files: Sequence[Path], of: str, without: frozenset[str] = frozenset
     keys = {key for form in forms for key in re.findall(r"\{(\w+)\}", form)}
     if "?" in "".join(forms) or (of == "folder" and keys <= {"test"}):
         keys = set()
-    return Names(keys, of, list(forms), units, comma, why)
+    return Names(of, list(forms), units, comma, why, keys)
 
 
 def _doubtful(before: str) -> int:
@@ -247,6 +229,7 @@ FILES = 20
 """Largest number of files that are examined; the columns are those of the first."""
 
 
+@np.errstate(all="ignore")  # damaged files hold numbers of any size
 def guess_files(files: Sequence[Path], kinds: Mapping[str, Imported]) -> Guess:
     """A guess from up to `FILES` files of one layout, for tests of one of the `kinds`.
 
@@ -254,11 +237,6 @@ def guess_files(files: Sequence[Path], kinds: Mapping[str, Imported]) -> Guess:
     """
     if not files:
         raise invalid("files", "give at least one file")
-    with np.errstate(all="ignore"):  # damaged files hold numbers of any size
-        return _guess(files, kinds)
-
-
-def _guess(files: Sequence[Path], kinds: Mapping[str, Imported]) -> Guess:
     guess = look(files[0], kinds)
     for path in files[1:FILES]:
         _alike(guess, path)
@@ -274,10 +252,8 @@ def _guess(files: Sequence[Path], kinds: Mapping[str, Imported]) -> Guess:
     if guess.lacks == "force" and all(column.role != "ignore" for column in guess.columns):
         guess.doubts.append("no column is a force or a displacement: a pressure alone gives no result here")
     if guess.role("time") is None and guess.role("pressure") is not None and isinstance(guess.layout, TextLayout):
-        guess.doubts.append(
-            "a table of points without time is no recording: report --overlay draws it next to your own, and model fit "
-            "fits a model to it"
-        )
+        text = "a table of points without time is no recording: report --overlay draws it next to your own, and model "
+        guess.doubts.append(f"{text}fit fits a model to it")
     return guess
 
 
@@ -289,7 +265,7 @@ def _alike(guess: Guess, path: Path) -> None:
         if column.name in there and len(values := there[column.name].good):
             column.middles.append(float(np.median(values)))
     same = type(other.layout) is type(guess.layout)
-    if same and isinstance(guess.layout, TextLayout) and isinstance(other.layout, TextLayout):
+    if isinstance(guess.layout, TextLayout) and isinstance(other.layout, TextLayout):
         keys = ("delimiter", "quoted", "decimal", "encoding", "header", "skip_lines", "comment")
         same = all(getattr(guess.layout, key) == getattr(other.layout, key) for key in keys)
         blank = "skip" if "skip" in {guess.layout.blank_lines, other.layout.blank_lines} else "refuse"
@@ -300,10 +276,8 @@ def _alike(guess: Guess, path: Path) -> None:
             return
     names, others = {column.name for column in guess.columns}, {column.name for column in other.columns}
     if not same or names != others:
-        text = ", ".join(sorted(names ^ others)[:4])
-        raise invalid(
-            path, f"is laid out otherwise than {guess.files[0]}{f' ({text})' if text else ''}: guess them apart"
-        )
+        text = f" ({', '.join(sorted(names ^ others)[:4])})" if names != others else ""
+        raise invalid(path, f"is laid out otherwise than {guess.files[0]}{text}: guess them apart")
 
 
 LACKED = "; some files lack it: add optional: true"
@@ -337,9 +311,8 @@ def _sampling(guess: Guess) -> None:
     guess.rate = (0.7 / usual, 1.4 / usual)
     early, late = (float(step) for step in np.quantile(steps[steps >= 0], [0.05, 0.95]))
     even = late < 1.01 * usual and early > 0.99 * usual
-    guess.gap = (1.5 if even else 4.0) * usual
     wide = float(np.quantile(forward, 0.995))
-    guess.gap = max(guess.gap, 1.5 * wide if wide < 10 * usual else 0.0)
+    guess.gap = max((1.5 if even else 4.0) * usual, 1.5 * wide if wide < 10 * usual else 0.0)
     how = "evenly" if even else f"unevenly, {early:.3g} to {late:.3g} s apart"
     found = [f"median {1 / usual:.4g} samples a second, {how}"]
     if (steps < 0).any():
@@ -351,26 +324,24 @@ def _sampling(guess: Guess) -> None:
 
 def _names(guess: Guess) -> None:
     """Use the dates, test numbers and points in the names of files or of their folders, whichever contain more."""
-    found = (found_in(guess.files, of) for of in ("file", "folder"))
-    best = max(found, key=lambda names: (len(names.keys), names.of == "file"))
-    guess.form_of, guess.form_units, guess.form_comma, guess.form_asked = best.of, best.units, best.comma, best.asked
+    best = max((found_in(guess.files, of) for of in ("file", "folder")), key=lambda names: len(names.keys))
     if best.keys and len(best.forms) <= 20:
-        guess.forms = best.forms
-        guess.reasons["name_tells"] = [f"the name of the {guess.form_of} gives {', '.join(sorted(best.keys))}"]
+        guess.names = best
+        guess.reasons["name_tells"] = [f"the name of the {best.of} gives {', '.join(sorted(best.keys))}"]
+    else:
+        guess.names = replace(best, forms=())
 
 
 def _frequency(guess: Guess) -> None:
     """Let the frequency of a sine be fitted in each file, if no name gives it or the name is wrong."""
     if not guess.frequency:
         return
-    found = frequency_of(guess.files[0], guess.form_of, guess.form_units)
+    found = frequency_of(guess.files[0], guess.names.of, guess.names.units)
     slowest = 1.0 / float(guess.seconds[-1] - guess.seconds[0]) if guess.seconds is not None else 0.0
     if (found is None or abs(found - guess.frequency) > 0.1 * found + 2 * slowest) and count(guess, "sine") > 0:
-        why = (
-            "no name gives its frequency"
-            if found is None
-            else f"its name gives {found:.4g} Hz, and its command does not"
-        )
+        why = "no name gives its frequency"
+        if found is not None:
+            why = f"its name gives {found:.4g} Hz, and its command does not"
         guess.smallest_of = "pressure_command"
         guess.trials = {"by": "sine", "smallest": f"{share(guess, 'pressure_command'):.3g}"}
         guess.reasons["trials"].append(f"{why}: it is fitted to each file")
@@ -380,7 +351,7 @@ def _lacking(guess: Guess) -> None:
     """Ask which column is the pressure, or the force of an isometric test, if none was found."""
     needed = ("pressure", "force") if guess.test.held else ("pressure",)
     lacking = [role for role in needed if guess.role(role) is None]
-    guess.lacks = next(iter(lacking), "")
+    guess.lacks = lacking[0] if lacking else ""
     ignored = [column for column in guess.columns if column.role == "ignore"]
     spare = next((column for column in guess.columns if column.role in {"pressure_command", "supply"}), None)
     other = spare is not None or any(len(column.good) for column in ignored)

@@ -8,13 +8,13 @@ from __future__ import annotations
 import csv
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 
 from pmabench.base.errors import invalid
 from pmabench.store.formats.record import distinct
-from pmabench.store.formats.text import MARKS, MINUS, Stamps, TextLayout, seconds_of, step_in
+from pmabench.store.formats.text import MARKS, MINUS, NUMBER, Stamps, TextLayout, seconds_of, step_in
 from pmabench.store.importers.map_file import spelled
 
 ENOUGH = 0.99
@@ -32,33 +32,23 @@ _INTERVAL = re.compile(
     + r"\s*(ms|us|µs|s)\b", re.IGNORECASE)  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Written:
-    """Form of the times in a column of texts."""
-
-    kind: str
-    """`clock`, `date` or `date and time`."""
-    order: str
-    """Order of day and month (see `Stamps.order`); empty where the file does not show it."""
-
-
 def looks_like_time(text: str) -> bool:
     """Whether a text may be a date or a clock."""
     return _LOOKS.search(text) is not None
 
 
-def written(texts: Sequence[str]) -> Written | None:
-    """The form of the times in a column of texts; None if they are not times."""
+def written(texts: Sequence[str]) -> tuple[str, str] | None:
+    """The form of the times in a column of texts: `clock`, `date` or `date and time`, and the order of day and month.
+
+    None if they are not times; the order is empty where the file does not show it.
+    """
     some = [text.strip() for text in texts if text.strip()]
-    if not some or sum(map(looks_like_time, some)) < ENOUGH * len(some):
-        return None
-    order = _order(some)
-    for kind in ("clock", "date", "date and time"):
-        try:
-            seconds_of(some, kind, order or "day first")
-        except ValueError:
-            continue
-        return Written(kind, order)
+    if some and sum(map(looks_like_time, some)) >= ENOUGH * len(some):
+        order = _order(some)
+        for kind in ("clock", "date", "date and time"):
+            with suppress(ValueError):
+                seconds_of(some, kind, order or "day first")
+                return kind, order
     return None
 
 
@@ -107,7 +97,6 @@ FAULTS = 0.05
 FEWEST = 3
 """Fewest numbers among the first rows of a column of numbers; others may be blank where rates are mixed."""
 _QUOTED = re.compile(r'"\s*[+-]?[\d.,]+(?:[eE][+-]?\d{1,3})?\s*"')
-_POINT = re.compile(r"\s*[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d{1,3})?\s*")
 _COMMA = re.compile(r"\s*[+-]?(?:\d+,?\d*|,\d+)(?:[eEdD][+-]?\d{1,3})?\s*")
 
 
@@ -202,7 +191,7 @@ def guess_layout(path: str, content: bytes) -> TextGuess:
     reasons = [why, f"{shown}: so {len(body.rows)} of the first lines are rows of numbers"]
     reasons += ["numbers are in quotation marks"] if body.quoted else []
     reasons += [f"digits are grouped by {body.thousands}"] if body.thousands else []
-    names, units, skip = _step_header(body, reasons) if body.above else _header(body, comment, reasons)
+    names, units, skip = _header(body, comment, reasons)
     blank = any(not line.strip(EMPTY) for line in (*lines[:-1], *text[-TAIL:].split("\n")[1:-1]))
     reasons += ["it has blank lines, which are skipped"] if blank else []
     texts, missing = _words(body, names, reasons)
@@ -247,7 +236,7 @@ def _body(path: str, text: str) -> _Body:
         lines = lines[: LOOKED_AT - 1]
     quoted = sum(_QUOTED.search(line) is not None for line in lines) > TABLE * sum(map(bool, lines))
     above = next((k + 2 for k in range(min(len(lines), 60)) if step_in(lines[k : k + 2])), 0)
-    delimiter, decimal, rows, thousands = _cells(path, lines, above, quoted=quoted)
+    _, delimiter, decimal, rows, thousands = _cells(path, lines, above, quoted=quoted)
     further = text.split("\n")[LOOKED_AT:-1]
     further = further[:: 1 + len(further) // FURTHER]
     thousands = thousands or _thousands([split(line, delimiter, quoted=quoted) for line in further], decimal)
@@ -258,26 +247,19 @@ def _body(path: str, text: str) -> _Body:
     return body
 
 
-def _step_header(body: _Body, reasons: list[str]) -> tuple[list[str], dict[str, str], None]:
-    """Names of the columns from an oscilloscope's header with Start and Increment."""
-    names = [*map(str.strip, body.cut(body.lines[body.above - 2])), *[""] * body.width][: body.width]
-    reasons.append("the header gives Start and Increment: the first column counts samples")
-    return [name or f"column {k + 1}" for k, name in enumerate(names)], {}, None
-
-
 def _stamps(guess: TextGuess, rows: Sequence[Sequence[str]]) -> None:
     """Find columns of texts that are times, and their form."""
-    kinds = {name: found for name in guess.texts if (found := written([row[guess.names.index(name)] for row in rows]))}
-    first = {each.kind: name for name, each in reversed(kinds.items())}
+    found = {name: form for name in guess.texts if (form := written([row[guess.names.index(name)] for row in rows]))}
+    first = {kind: name for name, (kind, _) in reversed(found.items())}
     time = first.get("date and time") or first.get("clock", "")
     if not time:
         return
-    date = first.get("date", "") if kinds[time].kind == "clock" else ""
-    dated = kinds[date or time]
-    guess.open_order = dated.kind != "clock" and not dated.order
-    guess.stamps = Stamps(time, kinds[time].kind, date=date, order=dated.order or "day first")
-    text = f'"{time}" is written as {kinds[time].kind}' + (f', its date is in "{date}"' if date else "")
-    guess.reasons.append(text)
+    kind = found[time][0]
+    date = first.get("date", "") if kind == "clock" else ""
+    dated, order = found[date or time]
+    guess.open_order = dated != "clock" and not order
+    guess.stamps = Stamps(time, kind, date=date, order=order or "day first")
+    guess.reasons.append(f'"{time}" is written as {kind}' + (f', its date is in "{date}"' if date else ""))
     guess.texts = [name for name in guess.texts if name not in (time, date)]
 
 
@@ -300,24 +282,18 @@ def _two_commas(path: str, rows: Sequence[Sequence[str]], above: Sequence[str], 
     if names == width and len(widths) == 1:
         return
     zeros = any(re.fullmatch(r"\s*0\d+\s*", text) for row in rows for text in row)
-    if (names > 1 and width == 2 * names) or zeros or (names > 1 and max(widths) > names):
-        sentence = (
-            f"rows have {width} fields between commas"
-            + (f" under {names} names" if names else "")
-            + ", none with a decimal point: the comma seems to separate columns and decimals at once, which cannot "
-            "be distinguished; export it with semicolons or tabs, or with decimal points"
-        )
-        raise invalid(path, sentence, len(above) + 1, 1)
+    if zeros or (names > 1 and (width == 2 * names or max(widths) > names)):
+        under = f" under {names} names" if names else ""
+        text = f"rows have {width} fields between commas{under}, none with a decimal point: the comma seems to "
+        text += "separate columns and decimals at once, which cannot be distinguished; export it with semicolons or "
+        raise invalid(path, f"{text}tabs, or with decimal points", len(above) + 1, 1)
 
 
 def _decoded(path: str, content: bytes) -> tuple[str, str, str]:
     """The text, its encoding, and the reason; raises InvalidFile where the encoding cannot be determined."""
     part = content[:2_000_000]
     if content.startswith((b"\xff\xfe", b"\xfe\xff")):
-        try:
-            return part.decode("utf-16", "ignore"), "utf-16", "utf-16, by its first two bytes"
-        except UnicodeError as error:
-            raise invalid(path, "begins like utf-16 and is not") from error
+        return part.decode("utf-16", "ignore"), "utf-16", "utf-16, by its first two bytes"
     for encoding, at in (("utf-16-le", 1), ("utf-16-be", 0)):
         if content[:400] and all(byte == 0 for byte in content[at:400:2]) and 0 not in content[1 - at : 400 : 2]:
             return part.decode(encoding, "ignore"), encoding, f"{encoding}, for every second byte is zero"
@@ -325,11 +301,10 @@ def _decoded(path: str, content: bytes) -> tuple[str, str, str]:
         raise invalid(path, "is an Excel workbook, or another archive: save the sheet as CSV (UTF-8), and import that")
     if b"\0" in content:
         raise invalid(path, "is binary, and neither LabVIEW (.lvm), TDMS nor MATLAB (.mat): export it as text")
-    try:
+    with suppress(UnicodeDecodeError):
         content.decode("utf-8")
-    except UnicodeDecodeError:
-        return _by_words(path, content, part)
-    return part.decode("utf-8-sig", "ignore"), "utf-8", "text in utf-8"
+        return part.decode("utf-8-sig", "ignore"), "utf-8", "text in utf-8"
+    return _by_words(path, content, part)
 
 
 def _by_words(path: str, content: bytes, part: bytes) -> tuple[str, str, str]:
@@ -345,11 +320,8 @@ def _by_words(path: str, content: bytes, part: bytes) -> tuple[str, str, str]:
     odd = {byte for byte in content if 0x80 <= byte <= 0x9F}
     if odd <= {0x80, 0x82, 0x85, 0x91, 0x92, 0x93, 0x94, 0x95, 0x96, 0x97, 0x99}:
         return part.decode("cp1252"), "cp1252", "cp1252, for it holds signs of that and is not utf-8"
-    raise invalid(
-        path,
-        f"is not text in utf-8, and its bytes ({', '.join(f'{byte:02x}' for byte in sorted(odd)[:4])} hex) leave open "
-        "in which encoding it is: save it as utf-8, or write a map with its encoding",
-    )
+    text = f"is not text in utf-8, and its bytes ({', '.join(f'{byte:02x}' for byte in sorted(odd)[:4])} hex) leave "
+    raise invalid(path, f"{text}open in which encoding it is: save it as utf-8, or write a map with its encoding")
 
 
 def split(line: str, delimiter: str, *, quoted: bool = False) -> list[str]:
@@ -361,48 +333,46 @@ def split(line: str, delimiter: str, *, quoted: bool = False) -> list[str]:
     return line.split() if delimiter == "blank" else line.split(MARKS[delimiter])
 
 
-def _cells(path: str, lines: Sequence[str], above: int, *, quoted: bool) -> tuple[str, str, list[tuple[int, int]], str]:
-    """Delimiter, decimal sign, (line from 0, number of fields) of all rows of numbers, and thousands separator.
+_Cells = tuple[tuple[int, bool, bool], str, str, list[tuple[int, int]], str]
+"""Score, delimiter, decimal sign, (line from 0, number of fields) of all rows of numbers, and thousands separator."""
 
-    The pair of delimiter and decimal sign with most numbers wins. Rows may contain dates and clocks. `above`: number of
-    header lines that are known not to be rows.
-    """
-    best: tuple[tuple[int, bool, bool], str, str, list[tuple[int, int]], str] | None = None
-    even = [mark for mark in ("tab", "semicolon", "bar") if _in_each(lines[above:], MARKS[mark])]
-    for delimiter in ("tab", "semicolon", "comma", "bar", *(() if quoted else ("blank",))):
-        cut = [split(line, delimiter, quoted=quoted) for line in lines]
-        for decimal, number in (("point", _POINT), ("comma", _COMMA)):
-            if delimiter == decimal and not quoted:
-                continue
-            thousands = _thousands(cut, decimal)
-            rows: list[tuple[int, int]] = []
-            numbers = 0
-            for index, fields in enumerate(cut):
-                if index < above or len(fields) < 2:
-                    continue
-                good = sum(_is_number(text, number, decimal, thousands) for text in fields)
-                times = sum(map(looks_like_time, fields)) if good < len(fields) else 0
-                if good >= 1 and good + times >= 2 and 2 * (good + times) >= len(fields):
-                    rows.append((index, len(fields)))
-                    numbers += good
-            if not rows:
-                continue
-            width = Counter(count for _, count in rows).most_common(1)[0][0]
-            alike = [row for row in rows if row[1] == width]
-            score = (numbers * len(alike) // len(rows), delimiter in even, decimal == "point")
-            if best is None or score > best[0]:
-                best = (score, delimiter, decimal, alike, thousands)
+
+def _cells(path: str, lines: Sequence[str], above: int, *, quoted: bool) -> _Cells:
+    """The delimiter and decimal sign with most numbers. `above`: number of lines that are known not to be rows."""
+    best = max(_ways(lines, above, quoted=quoted), key=lambda way: way[0], default=None)
     cells = (text.strip() for line in lines for text in re.split(r"[\t;|]", line))
     grouped = next((text for text in cells if re.fullmatch(r"\d{1,3}(?:[ \u00a0\u202f]\d{3})+", text)), "")
     hint = f'. "{grouped}" seems to have its digits in groups: export the numbers without them' if grouped else ""
     if best is None:
         raise invalid(path, f"holds no rows of at least two numbers in its first lines: nothing can be guessed{hint}")
-    first, count = best[3][0][0], len(best[3])
+    (first, width), count = best[3][0], len(best[3])
     below = sum(bool(line.strip()) for line in lines[first:])
     if count < TABLE * below:
-        sentence = f"{count} of {below} lines from line {first + 1} on are rows of {best[3][0][1]} fields with numbers"
+        sentence = f"{count} of {below} lines from line {first + 1} on are rows of {width} fields with numbers"
         raise invalid(path, f"is no table of numbers ({sentence}): nothing can be guessed{hint}")
-    return best[1], best[2], best[3], best[4]
+    return best
+
+
+def _ways(lines: Sequence[str], above: int, *, quoted: bool) -> Iterator[_Cells]:
+    """Every delimiter and decimal sign with which some lines are rows of numbers; rows may have dates and clocks."""
+    even = [mark for mark in ("tab", "semicolon", "bar") if _in_each(lines[above:], MARKS[mark])]
+    for delimiter in ("tab", "semicolon", "comma", "bar", *(() if quoted else ("blank",))):
+        cut = [split(line, delimiter, quoted=quoted) for line in lines]
+        for decimal, number in (("point", NUMBER), ("comma", _COMMA)):
+            thousands = _thousands(cut, decimal)
+            rows: list[tuple[int, int]] = []
+            numbers = 0
+            for index, fields in enumerate(cut):
+                good = sum(_is_number(text, number, decimal, thousands) for text in fields) if index >= above else 0
+                times = sum(map(looks_like_time, fields)) if 0 < good < len(fields) else 0
+                if good and good + times >= max(2, len(fields) / 2):
+                    rows.append((index, len(fields)))
+                    numbers += good
+            if rows and (delimiter != decimal or quoted):
+                width = Counter(count for _, count in rows).most_common(1)[0][0]
+                alike = [row for row in rows if row[1] == width]
+                score = (numbers * len(alike) // len(rows), delimiter in even, decimal == "point")
+                yield score, delimiter, decimal, alike, thousands
 
 
 def _in_each(lines: Sequence[str], mark: str) -> bool:
@@ -430,8 +400,8 @@ def _thousands(rows: Sequence[Sequence[str]], decimal: str) -> str:
 def _may_be_thousands(rows: Sequence[Sequence[str]]) -> str:
     """Example of a number if every comma could be a thousands separator; else empty."""
     with_comma = [text.strip() for row in rows for text in row if "," in text]
-    either = with_comma and all(re.fullmatch(r"[+-]?[1-9]\d{0,2},\d{3}", text) for text in with_comma)
-    return with_comma[0] if either else ""
+    either = all(re.fullmatch(r"[+-]?[1-9]\d{0,2},\d{3}", text) for text in with_comma)
+    return with_comma[0] if with_comma and either else ""
 
 
 def _comment(lines: Sequence[str], first: int) -> str | None:
@@ -444,11 +414,14 @@ def _header(body: _Body, comment: str | None, reasons: list[str]) -> tuple[list[
     The last is None if the header line cannot be used as it is, for instance as a comment.
     """
     lines, width = body.lines, body.width
-    above = [(k, lines[k]) for k in range(body.first) if lines[k].strip()]
+    if body.above:  # an oscilloscope's
+        names = [*map(str.strip, body.cut(lines[body.above - 2])), *[""] * width][:width]
+        reasons.append("the header gives Start and Increment: the first column counts samples")
+        return [name or f"column {k + 1}" for k, name in enumerate(names)], {}, None
     candidates: list[tuple[int, list[str], bool]] = []
-    for k, line in above[-5:]:
-        commented = comment is not None and line.lstrip().startswith(comment)
-        found = line.lstrip()[len(comment or "") :] if commented else line
+    for k in [k for k in range(body.first) if lines[k].strip()][-5:]:
+        commented = comment is not None and lines[k].lstrip().startswith(comment)
+        found = lines[k].lstrip()[len(comment or "") :] if commented else lines[k]
         fields = [text.strip().strip('"').strip() for text in body.cut(found)]
         if len(fields) == width and any(re.search(r"[^\W\d_]", text) for text in fields):
             candidates.append((k, fields, commented))
@@ -459,15 +432,12 @@ def _header(body: _Body, comment: str | None, reasons: list[str]) -> tuple[list[
         reasons.append("no line of names")
         return [], {}, None
     k, fields, commented = named[-1]
-    if of_units and named is not of_units:
-        reasons.append(f"names in line {k + 1}, their units in line {of_units[-1][0] + 1}")
+    below = f", their units in line {of_units[-1][0] + 1}" if of_units and named is not of_units else ""
+    reasons.append(f"names in line {k + 1}{below or (', which is a comment' if commented else '')}")
+    if below:
         called = fields if not _twice(fields) else _apart(fields)
         return called, dict(zip(called, of_units[-1][1], strict=True)), None
-    if commented:
-        reasons.append(f"names in line {k + 1}, which is a comment")
-        return fields, {}, None
-    reasons.append(f"names in line {k + 1}")
-    if k < candidates[-1][0]:  # a further line is below the names
+    if commented or k < candidates[-1][0]:  # a further line is below the names
         return fields, {}, None
     before = k if comment is None else sum(1 for j in range(k) if not lines[j].lstrip().startswith(comment))
     return fields, {}, (k if before else 0)
@@ -484,12 +454,11 @@ def _words(body: _Body, names: Sequence[str], reasons: list[str]) -> tuple[list[
 
     Raises InvalidFile where the words are numbers with the other decimal sign.
     """
-    number, otherwise = (_COMMA, _POINT) if body.decimal == "comma" else (_POINT, _COMMA)
+    number, otherwise = (_COMMA, NUMBER) if body.decimal == "comma" else (NUMBER, _COMMA)
     cells, texts, missing, other = body.below(), list[int](), set[str](), dict[int, str]()
     for column in range(body.width):
         every = (row[column] for row in cells)
-        grouped = "any" if body.thousands else ""
-        strange = [text.strip() for text in every if not _is_number(text, number, body.decimal, grouped)]
+        strange = [text.strip() for text in every if not _is_number(text, number, body.decimal, body.thousands)]
         known = {text for text in strange if text.lower() in NO_VALUE}
         faults = sum(text not in known for text in strange)
         numbers = len(cells) - len(strange)
@@ -501,12 +470,11 @@ def _words(body: _Body, names: Sequence[str], reasons: list[str]) -> tuple[list[
             missing |= known
     if other:
         named = ", ".join(f'"{names[k]}"' if names else f"column {k + 1}" for k in other)[:200]
-        one, two = ("comma", "point") if body.decimal == "comma" else ("point", "comma")
+        two = "point" if body.decimal == "comma" else "comma"
         groups = next(iter(other.values())) if all(other.values()) else ""
         text = "two decimal signs in one file" + (f', or digits in groups ("{groups}")' if groups else "")
-        text += f": {named} have the {two}, the others the {one}; export it with one of them"
-        text += ", without groups" if groups else ""
-        raise invalid(body.path, text, body.first + 1, 1)
+        text += f": {named} have the {two}, the others the {body.decimal}; export it with one of them"
+        raise invalid(body.path, text + (", without groups" if groups else ""), body.first + 1, 1)
     wide = [row for row in map(body.cut, body.further) if len(row) == body.width]
     later = {row[k].strip() for row in wide for k in range(body.width) if k not in texts}
     found = sorted({*sorted(missing)[:MOST_MISSING], *(word for word in later if word.lower() in NO_VALUE)})

@@ -62,7 +62,7 @@ def choose_kind(guess: Guess) -> None:
 
 def signs(guess: Guess) -> Iterator[Sign]:
     """Signs that a file shows, the surest first: numbered trials, pauses, a held length, a sine, steps."""
-    command, displacement, t = guess.role("pressure_command"), guess.role("displacement"), guess.seconds
+    command, displacement = guess.role("pressure_command"), guess.role("displacement")
     if guess.role("trial") is not None and command is not None and edge(command.values) > 0:
         reason = "the command goes in steps, and a column numbers the trials"
         yield Sign("numbered trials", {"by": "column"}, reason)
@@ -82,7 +82,7 @@ def signs(guess: Guess) -> Iterator[Sign]:
             trials = {"by": "ramp", "smallest": f"{5 * share(guess, 'pressure'):.3g}"}
         yield Sign("held length", trials, reason, "pressure" if cycles > 1 else "pressure_command")
     yield from filter(None, (_held_lengths(guess), _driven(guess)))
-    if (sine := _sine_of(command, t)) > 0:
+    if (sine := _sine_of(guess)) > 0:
         reason = f"the command is a sine of {sine:.3g} Hz ({sine * 2 * np.pi:.3g} rad/s)"
         yield Sign("sine", {"by": "file"}, reason, frequency=sine)
     if command is not None and (step := edge(command.values)) > 0:
@@ -113,19 +113,27 @@ def _held(column: Proposal, pressure: Proposal | None) -> bool:
     return high - low < max(still, HELD * max(abs(low), abs(high))) and abs(together) < 0.5
 
 
+def _rows(guess: Guess, *roles: str) -> list[Array]:
+    """Time [s] and these channels, shape (n,), where all are finite and the time advances; empty without one."""
+    columns, t = [guess.role(role) for role in roles], guess.seconds
+    if t is None or None in columns:
+        return []
+    every = [column.values for column in columns if column is not None]
+    good = np.logical_and.reduce([motion.later(t), *map(np.isfinite, every)])
+    return [values[good] for values in (t, *every)]
+
+
 def _held_lengths(guess: Guess) -> Sign | None:
     """The sign of pressure cycles at several held lengths; None where the file does not show it."""
-    x, pressure, t = guess.role("displacement"), guess.role("pressure"), guess.seconds
-    if x is None or pressure is None or t is None or guess.role("force") is None or guess.role("pressure_command"):
+    rows, pressure = _rows(guess, "displacement", "pressure"), guess.role("pressure")
+    if not rows or guess.role("force") is None or guess.role("pressure_command") or pressure is None:
         return None
-    if _steady(pressure.good):
-        return None
-    good = np.isfinite(x.values) & np.isfinite(pressure.values) & motion.later(t)
-    t, values, P = t[good], x.values[good], pressure.values[good]
+    t, values, P = rows
     smallest = 5 * share(guess, "pressure")
-    cycles = motion.cycles(t, P, smallest) if smallest > 0 and len(t) >= FEWEST else []
-    held_at = [values[(t >= cycle.begin) & (t <= cycle.end)] for cycle in cycles]
-    if not _at_lengths(held_at):
+    if _steady(pressure.good) or smallest <= 0 or len(t) < FEWEST:
+        return None
+    cycles = motion.cycles(t, P, smallest)
+    if not _at_lengths([values[(t >= cycle.begin) & (t <= cycle.end)] for cycle in cycles]):
         return None
     reason = f"the pressure rises and falls {len(cycles)} times, at lengths that are held: each is a trial"
     return Sign("held lengths", {"by": "ramp", "smallest": f"{smallest:.3g}"}, reason, "pressure")
@@ -156,25 +164,23 @@ def _driven(guess: Guess) -> Sign | None:
 
     The force then changes with the length at equal pressure, and the length more often than the pressure.
     """
-    x, force, pressure, t = guess.role("displacement"), guess.role("force"), guess.role("pressure"), guess.seconds
-    if x is None or force is None or t is None or guess.role("pressure_command") is not None:
+    pressure = guess.role("pressure")
+    rows = _rows(guess, "displacement", "force", *(["pressure"] if pressure is not None else []))
+    if not rows or guess.role("pressure_command") is not None:
         return None
-    steps = count(guess, "step") if pressure is not None and not _steady(pressure.good) else 0
+    steady = pressure is None or _steady(pressure.good)
+    steps = 0 if steady else count(guess, "step")
     trials = {"by": "level", "smallest": f"{share(guess, 'pressure'):.3g}"} if steps else {"by": "file"}
     parts, gaps, _ = _between_pauses(guess, pressure)
     if not steps and len(parts) > 1 and all(len(part) and _steady(part) for part in parts):
         steps, trials = len(parts) - 1, gaps
     smallest = 5 * share(guess, "displacement") / (2 if steps else 1)
-    good = np.isfinite(x.values) & np.isfinite(force.values) & motion.later(t)
-    by = np.ones((len(t), 1))
-    if pressure is not None:
-        if not steps and not _steady(pressure.good):
-            return None
-        good &= np.isfinite(pressure.values)
-        by = np.column_stack([by, pressure.values])
-    t, by, values, pull = t[good], by[good], x.values[good], force.values[good]
-    if smallest <= 0 or len(t) < FEWEST or len(motion.cycles(t, values, smallest)) <= 1 + steps:
+    t, values, pull, *P = rows
+    if not (steps or steady) or smallest <= 0 or len(t) < FEWEST:
         return None
+    if len(motion.cycles(t, values, smallest)) <= 1 + steps:
+        return None
+    by = np.column_stack([np.ones(len(t)), *P])
     left = [one - by @ np.linalg.lstsq(by, one, rcond=None)[0] for one in (values, pull)]
     if abs(correlation(*left)) < TOGETHER:
         return None
@@ -214,39 +220,32 @@ def lone(values: Array) -> NDArray[np.bool_]:
 
 def count(guess: Guess, what: str) -> int:
     """Number of steps, ramps or sines of the pressure (for sines, of its command if there is one)."""
-    command = guess.role("pressure_command") if what == "sine" else None
-    column, t = command or guess.role("pressure"), guess.seconds
-    if column is None or t is None or len(t) < 50:
+    column = (guess.role("pressure_command") if what == "sine" else None) or guess.role("pressure")
+    smallest = share(guess, column.role) if column is not None else 0.0
+    if column is None or guess.seconds is None or len(guess.seconds) < FEWEST or smallest <= 0:
         return 0
-    good = np.isfinite(column.values) & motion.later(t)
-    good &= (column.values != 0) | (column.unit != "mA")
-    smallest = share(guess, column.role)
-    if smallest <= 0 or good.sum() < 50:
+    t, values = _rows(guess, column.role)
+    good = (values != 0) | (column.unit != "mA")
+    if good.sum() < FEWEST:
         return 0
-    t, values = t[good], column.values[good]
+    t, values = t[good], values[good]
     t, values = t[~lone(values)], values[~lone(values)]
     if what == "ramp":
         return len(motion.cycles(t, values, 5 * smallest))
     return len(motion.waves(t, values, smallest) if what == "sine" else motion.levels(t, values, smallest))
 
 
-def _sine_of(column: Proposal | None, t: Array | None) -> float:
-    """Frequency [Hz] of a command that is a single sine over `t` [s]; 0 where it is not, or there is none."""
-    if column is None or t is None:
+def _sine_of(guess: Guess) -> float:
+    """Frequency [Hz] of a command that is a single sine; 0 where it is not, or there is none."""
+    if not (rows := _rows(guess, "pressure_command")):
         return 0.0
-    good = np.isfinite(column.values) & motion.later(t)
-    t, values = t[good], column.values[good]
+    t, values = rows
     return motion.only_sine(t[~lone(values)], values[~lone(values)])
 
 
 def edge(values: Array) -> float:
     """Half of the smallest usual step of a command that rests at levels; 0 where it is not such a command."""
     good = values[np.isfinite(values)]
-    span = float(np.ptp(good)) if len(good) else 0.0
-    if span == 0:
-        return 0.0
     moves = np.abs(np.diff(good))
-    big = moves > 0.02 * span
-    if not 0 < big.sum() < 0.1 * len(good):
-        return 0.0
-    return 0.5 * float(np.quantile(moves[big], 0.05))
+    big = moves > 0.02 * float(np.ptp(good)) if len(good) else moves > 0
+    return 0.5 * float(np.quantile(moves[big], 0.05)) if 0 < big.sum() < 0.1 * len(good) else 0.0

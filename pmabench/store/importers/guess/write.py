@@ -41,6 +41,12 @@ def entry(head: str, value: Value, indent: str = "  ") -> list[str]:
     return [*asking, f"{indent}{head}{_yaml(value)}"]
 
 
+def block(head: str, entries: Entries, indent: str = "", why: Sequence[str] = ()) -> list[str]:
+    """Lines of a map entry with its own entries below it, and reasons before these."""
+    lines = [line for key, value in entries.items() for line in entry(f"{key}: ", value, f"{indent}  ")]
+    return [f"{indent}{head}", *(f"{indent}  {comment(text)}" for text in why), *lines]
+
+
 def _asked(value: Value) -> Iterator[Asked]:
     if isinstance(value, Asked):
         yield value
@@ -98,32 +104,29 @@ def _period(column: Proposal) -> Value:
 def _order(column: Proposal) -> Value:
     if column.order != OPEN:
         return column.order
-    return Asked(
-        "", f'does day or month come first in "{column.name}"? No date in it shows that: day first, or month first'
-    )
+    text = f'does day or month come first in "{column.name}"? No date in it shows that: day first, or month first'
+    return Asked("", text)
 
 
-def _no_time(guess: Guess) -> list[str]:
+def _no_time(guess: Guess) -> Entries:
     """The sampling period if no column is a time, or a question about it."""
     if guess.role("time") is not None:
-        return []
+        return {}
     if guess.period:
-        return [f"  period: {guess.period:.9g} s"]
+        return {"period": f"{guess.period:.9g} s"}
     doubts = [(each.name, doubt) for each in guess.columns for doubt in each.doubts if doubt.startswith(UNLIKE_TIME)]
     sentence = "".join(f' ("{name}" {doubt})' for name, doubt in doubts)
     text = f"no column is a time{sentence}: were the samples taken at even distances, and at which? For instance 2 ms."
-    return entry("period: ", Asked("", f"{text} A table of points is no recording: report --overlay draws it"))
+    return {"period": Asked("", f"{text} A table of points is no recording: report --overlay draws it")}
 
 
 def _tests(guess: Guess) -> list[str]:
     """Lines for several tests in each file, with questions for their contractions."""
+    text = 'at which contraction was "{}" held? For instance 8 mm'.format
     lines = ["tests:"] if guess.tests else []
     for test in guess.tests:
-        value: Entries = {"name": scalar(test)}
-        if guess.open_point("contraction"):
-            text = f'at which contraction was "{test}" held? For instance 8 mm'
-            value["point"] = {"contraction": Asked("", text)}
-        lines += entry("- ", value, "")
+        asking: Entries = {"point": {"contraction": Asked("", text(test))}} if guess.open_point("contraction") else {}
+        lines += entry("- ", {"name": scalar(test), **asking}, "")
     return lines
 
 
@@ -132,6 +135,7 @@ EDGE = {"pressure": ("bar", "10 bar"), "length": ("mm", "100 mm"), "force": ("N"
 LOOPS = (("mA", 4.0, 20.0, 22.0), ("mV", 4000.0, 20000.0, 21000.0), ("V", 0.0, 5.0, 5.1), ("V", 0.0, 10.0, 10.6))
 """Usual output ranges of sensors: unit, ends, and the largest reading that still fits the range."""
 LEAST_STEP = "10 kPa"
+"""Smallest step of a command whose scale is unknown."""
 UNASKED = {
     "supply": "the supply enters no result",
     "flow": "a flow enters the volume of isometric-pressurisation alone, as a mass; docs/maps.md makes one of litres",
@@ -143,6 +147,7 @@ SHARE = r"%|percent|per cent|strain"
 """Words in the name of a length that is a relative length."""
 
 
+@np.errstate(all="ignore")  # damaged files hold numbers of any size
 def map_text(guess: Guess) -> str:
     """The map as YAML."""
     lines = [
@@ -159,9 +164,8 @@ def map_text(guess: Guess) -> str:
         "",
         "columns:",
     ]
-    with np.errstate(all="ignore"):  # damaged files hold numbers of any size
-        for column in guess.columns:
-            lines += _column(column, guess)
+    for column in guess.columns:
+        lines += _column(column, guess)
     if guess.role("time") is None:
         lines.append('  "@time": {is: time, unit: s}  # made from the period, for no column is a time')
     lines += [*_tests(guess), "", *_name_lines(guess)]
@@ -195,49 +199,45 @@ def _kind(guess: Guess) -> list[str]:
 
 
 def _file(guess: Guess) -> list[str]:
-    layout, found = guess.layout, [f"  {comment(text)}" for text in guess.reasons.get("file", [])]
-    if not isinstance(layout, TextLayout):
-        return ["file:", *found, f"  format: {layout.format}", *_no_time(guess)]
-    lines = ["file:", *found, f"  delimiter: {layout.delimiter}", f"  header: {layout.header}"]
-    if layout.names:
-        lines.append(f"  names: [{', '.join(scalar(name) for name in layout.names)}]")
-    keys = ("quoted", "decimal", "thousands", "encoding", "blank_lines", "skip_lines")
-    for key in (*keys, "lines_below_header", "repeated_header"):
-        value = getattr(layout, key)
-        if key == "decimal" and guess.either:
-            text = f'is "{guess.either}" a number with decimals, or are its digits grouped?'
-            text += " For groups write decimal: point and thousands: comma; all numbers change by 1000"
-            lines += entry("decimal: ", Asked(value, text))
-        elif value != TextLayout.model_fields[key].default:
-            lines.append(f"  {key}: {str(value).lower()}")
-    if layout.comment:
-        lines.append(f"  comment: {json.dumps(layout.comment)}")
-    if layout.missing:
-        lines.append(f"  missing: {json.dumps(layout.missing)}")
-    return lines + _no_time(guess)
+    layout = guess.layout
+    entries: Entries = {"format": layout.format}
+    if isinstance(layout, TextLayout):
+        entries = {"delimiter": layout.delimiter, "header": layout.header}
+        if layout.names:
+            entries["names"] = [scalar(name) for name in layout.names]
+        keys = ("quoted", "decimal", "thousands", "encoding", "blank_lines", "skip_lines")
+        for key in (*keys, "lines_below_header", "repeated_header"):
+            value = getattr(layout, key)
+            if key == "decimal" and guess.either:
+                text = f'is "{guess.either}" a number with decimals, or are its digits grouped?'
+                text += " For groups write decimal: point and thousands: comma; all numbers change by 1000"
+                entries[key] = Asked(value, text)
+            elif value != TextLayout.model_fields[key].default:
+                entries[key] = str(value).lower()
+        entries |= {key: json.dumps(value) for key in ("comment", "missing") if (value := getattr(layout, key))}
+    return block("file:", entries | _no_time(guess), why=guess.reasons.get("file", []))
 
 
 def _column(column: Proposal, guess: Guess) -> list[str]:
-    head = [f"  {comment(text)}" for text in column.reasons]
-    head += [f"  {comment('DOUBT: ' + text)}" for text in column.doubts]
-    name = f"{scalar(column.name)}: "
-    role: Value = Asked(column.role, column.question) if column.question else column.role
-    if column.role == "date":
-        return [*head, *entry(name, {"is": "date", **({"order": _order(column)} if column.order else {})})]
+    head = [f"  {comment(text)}" for text in (*column.reasons, *(f"DOUBT: {text}" for text in column.doubts))]
+    name, role = scalar(column.name), column.role
+    asked_role: Value = Asked(role, column.question) if column.question else role
     known = QUANTITY.get(column.unit) == quantity_of(column) and not column.factor
-    if column.role in UNASKED and not known:
-        return [*head, f"  {comment(UNASKED[column.role])}", f"  {name}ignore"]
-    if column.role == "time":
+    if role in UNASKED and not known:
+        return [*head, f"  {comment(UNASKED[role])}", f"  {name}: ignore"]
+    if role == "time":
         return [*head, *_time(column, guess)]
-    if column.role in NUMBERS or column.role == "point":
-        return [*head, *entry(name, role if column.role == "ignore" else {"is": role, **_marks(column)})]
+    if role in NUMBERS or role in ("point", "date"):
+        value: Value = asked_role if role == "ignore" else {"is": asked_role, **_marks(column)}
+        return [*head, *entry(f"{name}: ", value)]
     body, why = _measured(column, guess)
-    lines = [line for key, value in {"is": role, **body}.items() for line in entry(f"{key}: ", value, "    ")]
-    return [*head, *(f"  {comment(text)}" for text in why), f"  {name}".rstrip(), *lines]
+    return [*head, *(f"  {comment(text)}" for text in why), *block(f"{name}:", {"is": asked_role, **body}, "  ")]
 
 
 def _marks(column: Proposal) -> Entries:
-    """Entries of a column that is not measured: marks of phases, or the coordinate of a point and its unit."""
+    """Entries of a column that is not measured: marks of phases, order of dates, or a coordinate and its unit."""
+    if column.role == "date" and column.order:
+        return {"order": _order(column)}
     if column.role == "point":
         unit = re.fullmatch(r".* \[([^\[\]]*)\]", column.name)
         return {**column.extra, **({"unit": unit[1]} if unit and unit[1] else {})}
@@ -273,7 +273,7 @@ def _line(slope: Value, offset: Value) -> Entries:
 def _scale(column: Proposal) -> tuple[Entries, list[str]]:
     """Entries for unit, calibration and range of a column, and reasons."""
     quantity, unit = quantity_of(column), column.unit
-    if quantity == "length" and unit in (None, "", "%") and re.search(SHARE, column.name, re.IGNORECASE):
+    if quantity == "length" and unit in ("", "%") and re.search(SHARE, column.name, re.IGNORECASE):
         text = f'"{column.name}" is a share: of which length? The slope is what one unit of it is, as "2.5 mm/count"'
         return {"unit": "count", "line": _line(Asked("", text), "0 mm")}, []
     if (slope := asked.factor_of(column)) is not None:
@@ -283,12 +283,11 @@ def _scale(column: Proposal) -> tuple[Entries, list[str]]:
     if (unit_asked := asked.unit_of(column)) is not None:
         return {"unit": unit_asked}, []
     if QUANTITY.get(unit) == quantity:
-        if quantity == "pressure" and (air := asked.gauge_of(column)) is not None:
-            return {"unit": unit, "line": _line(f"1 {unit}/{unit}", air)}, []
-        if quantity == "pressure" and asked.absolute(column):
-            line = _line(f"1 {unit}/{unit}", asked.air(unit))
-            return {"unit": unit, "line": line}, ["absolute by its name: the normal pressure of air is taken off"]
-        return {"unit": unit}, []
+        air: Value | None = asked.gauge_of(column) if quantity == "pressure" else None
+        why = []
+        if air is None and quantity == "pressure" and asked.absolute(column):
+            air, why = asked.air(unit), ["absolute by its name: the normal pressure of air is taken off"]
+        return {"unit": unit, **({"line": _line(f"1 {unit}/{unit}", air)} if air is not None else {})}, why
     if quantity == "force" and unit in asked.WEIGHT:
         line = _line(f"{asked.WEIGHT[unit]} N/{unit}", "0 N")
         return {"unit": unit, "line": line}, [f"a weight in {unit}, with 9.80665 m/s2"]
@@ -325,20 +324,18 @@ def _contraction(column: Proposal, guess: Guess) -> tuple[Entries, list[str]]:
         return {**open_sign, "zero": Asked(f"0 {unit}", "")}, []
     if guess.test.held:
         return {}, []
-    others = [c for c in (pressure, force) if c is not None and len(c.good)]
-    good = np.isfinite(column.values) & (column.values != 0)
-    for other in others:
-        good &= np.isfinite(other.values) & (other.values != 0)
+    known = [c.values for c in (column, pressure, force) if c is column or (c is not None and len(c.good))]
+    good = np.logical_and.reduce([np.isfinite(values) & (values != 0) for values in known])
     x = column.values[good]
-    P = pressure.values[good] if pressure in others and pressure is not None else np.zeros(len(x))
-    driven = guess.test.follows == "force" and force is not None
-    if pressure is None or len(x) < 20 or np.ptp(x) == 0 or (np.ptp(P) == 0 and not driven):
+    P = pressure.values[good] if pressure is not None and len(pressure.good) else np.zeros(len(x))
+    driven = force if guess.test.follows == "force" else None
+    if pressure is None or len(x) < 20 or np.ptp(x) == 0 or (np.ptp(P) == 0 and driven is None):
         return open_sign, []
-    if driven and force is not None:  # the length is driven
+    if driven is not None:  # the length is driven
         table = np.column_stack([np.ones(len(P)), P - P.mean(), x - x.mean()])
         try:
-            less = float(np.linalg.lstsq(table, force.values[good], rcond=None)[0][2])
-            less *= -1.0 if np.quantile(force.good, 0.9) < 0 else 1.0  # the cell reads pulling as negative
+            less = float(np.linalg.lstsq(table, driven.values[good], rcond=None)[0][2])
+            less *= -1.0 if np.quantile(driven.good, 0.9) < 0 else 1.0  # the cell reads pulling as negative
         except np.linalg.LinAlgError:
             return open_sign, []
         rises, zero = less < 0, float(np.quantile(x, 0.01 if less < 0 else 0.99))
@@ -371,40 +368,38 @@ def _zero(column: Proposal, unit: str, x: np.ndarray, rises: bool) -> Entries:
 
 
 def _name_lines(guess: Guess) -> list[str]:
-    if not guess.forms:
+    names = guess.names
+    if not names.forms:
         return []
-    lines = [f"name_tells:{_why(guess, 'name_tells')}", f"  of: {guess.form_of}"]
-    lines.append(
-        f"  forms: [{', '.join(json.dumps(form, ensure_ascii=not form.isprintable()) for form in guess.forms)}]"
-    )
-    if guess.form_comma:
-        lines.append("  decimal: comma")
-    if guess.form_units:
-        texts = guess.form_asked
-        units = {key: Asked(unit, texts[key]) if key in texts else unit for key, unit in guess.form_units.items()}
-        lines += entry("units: ", units)
-    keys = set(guess.form_units)
-    lacking = sorted(key for key in keys if any("{" + key + "}" not in form for form in guess.forms))
-    if lacking:
-        without = next(form for form in guess.forms if "{" + lacking[0] + "}" not in form)
+    forms = [json.dumps(form, ensure_ascii=not form.isprintable()) for form in names.forms]
+    entries: Entries = {"of": names.of, "forms": forms}
+    if names.comma:
+        entries["decimal"] = "comma"
+    if names.units:
+        asking = {key: Asked(names.units[key], text) for key, text in names.asked.items() if key in names.units}
+        entries["units"] = {**names.units, **asking}
+    lacking = {key: [form for form in names.forms if f"{{{key}}}" not in form] for key in sorted(names.units)}
+    if lacking := {key: without for key, without in lacking.items() if without}:
+        without = next(iter(lacking.values()))[0]
         text = f'which {", ".join(lacking)} have the files whose name is "{without}"? Their name has none'
-        values = {key: Asked(f"0 {guess.form_units[key]}", text if key == lacking[0] else "") for key in lacking}
-        lines += entry("otherwise: ", values)
-    return [*lines, ""]
+        texts = dict.fromkeys(lacking, "") | {next(iter(lacking)): text}
+        entries["otherwise"] = {key: Asked(f"0 {names.units[key]}", texts[key]) for key in lacking}
+    return [*block(f"name_tells:{_why(guess, 'name_tells')}", entries), ""]
 
 
 def _trials(guess: Guess) -> list[str]:
     trials: Entries = dict(guess.trials)
     channel = guess.role(guess.smallest_of)
-    if "smallest" in guess.trials and channel is not None:
-        trials["smallest"] = _smallest(float(guess.trials["smallest"]), channel)
+    if "smallest" in trials and channel is not None:
+        known = QUANTITY.get(channel.unit) == "pressure" and not channel.factor
+        trials["smallest"] = f"{float(guess.trials['smallest']):.3g} {channel.unit}" if known else LEAST_STEP
     point: Entries = {}
     if at := "" if guess.tests else asked.contraction_of(guess):
         point["contraction"] = at
     if guess.trials["by"] == "file" and guess.open_point("frequency"):
         text = "which frequency has the sine? It is read off its spectrum only"
         point["frequency"] = Asked(f"{guess.frequency:.3g} Hz", text)
-    if guess.constant and not any("{pressure}" in form for form in guess.forms):
+    if guess.constant and not any("{pressure}" in form for form in guess.names.forms):
         text = "at which pressure was each file recorded? No column and no name says it. For instance 3 bar"
         point["pressure"] = Asked("", text)
     return entry("trials: ", {**trials, **({"point": point} if point else {})}, "")
@@ -415,17 +410,13 @@ def _siblings(guess: Guess) -> list[str]:
 
     A comment where columns without names leave open whether it is one.
     """
-    if not any("{test}" in form for form in guess.forms) or len(guess.files) < 2:
+    if not any("{test}" in form for form in guess.names.forms) or len(guess.files) < 2:
         return []
     line = "siblings: {force: 30 %, pressure: 10 %}  # of files at one contraction: beyond it the scale is another one"
     if guess.test.held and guess.role("force") is not None:
         return [line]
-    if any(column.bare and column.question for column in guess.columns):
-        return [
-            comment("if the muscle was held, with force and pressure among the columns without names:"),
-            f"# {line}",
-        ]
-    return []
+    text = comment("if the muscle was held, with force and pressure among the columns without names:")
+    return [text, f"# {line}"] if any(column.bare and column.question for column in guess.columns) else []
 
 
 def _analysis(guess: Guess) -> list[str]:
@@ -434,10 +425,3 @@ def _analysis(guess: Guess) -> list[str]:
         return []
     above, others = found
     return entry("analysis: ", {"force_above": above, **({"also_at": others} if others else {})}, "")
-
-
-def _smallest(reading: float, command: Proposal) -> str:
-    """Smallest step of the command with a unit of pressure; `LEAST_STEP` where its scale is unknown."""
-    if QUANTITY.get(command.unit) == "pressure" and not command.factor:
-        return f"{reading:.3g} {command.unit}"
-    return LEAST_STEP
