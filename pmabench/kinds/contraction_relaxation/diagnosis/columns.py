@@ -7,7 +7,7 @@ with the residual of the fit. See docs/uncertainty.md, "Is the form right?".
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from itertools import pairwise
 
@@ -307,6 +307,8 @@ class Followed:
     """Running sums over time steps of `GRID` of the friction elements' states, -1 to 1, and the lagged contractions
     [m]; shape (steps, radii + times, trials that lifted + 1).
     """
+    last: list[Array] = field(default_factory=lambda: [np.empty(0)] * 3)
+    """Times and trials of the last segments, and the means over them: shifted channels leave these where they are."""
 
     @classmethod
     def of(cls, campaign: Campaign) -> Followed:
@@ -351,10 +353,13 @@ class Followed:
         return self._means(segments)[:, len(RADII) :]
 
     def _means(self, segments: Segments) -> Array:
-        length = segments.v.shape[1] * segments.dt
-        row = (segments.t - self.begins[segments.trial] - 0.5 * GRID) / GRID
-        trial = self.column[segments.trial]
-        return np.asarray((self._at(row + length / GRID, trial) - self._at(row, trial)) * GRID / length)
+        if not all(map(np.array_equal, self.last[:2], (segments.t, segments.trial))):
+            length = segments.v.shape[1] * segments.dt
+            row = (segments.t - self.begins[segments.trial] - 0.5 * GRID) / GRID
+            trial = self.column[segments.trial]
+            means = (self._at(row + length / GRID, trial) - self._at(row, trial)) * GRID / length
+            self.last[:] = segments.t, segments.trial, means
+        return self.last[2]
 
     def _at(self, row: Array, trial: NDArray[np.intp]) -> Array:
         """Running sums at fractional time steps `row`, shape (n, k)."""

@@ -10,9 +10,10 @@ not decide between them.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 
@@ -56,6 +57,7 @@ ALL_OF_MUSCLE = (
     Explanation("hysteresis"),
     Explanation("creep", "by time"),
 )
+Key, Made = TypeVar("Key"), TypeVar("Made")
 FINEST = (Explanation("bend", "steep"), *(Explanation(kind, variant) for kind, variant in columns.FINER.items()))
 """All properties of the muscle in their finest forms, for a muscle that coarser ones do not describe."""
 
@@ -94,6 +96,10 @@ class Search:
     """Whether the cell may have drifted; False where weights show the drift, which is then corrected already."""
     cuts: dict[tuple[Explanation, ...], tuple[Campaign, Segments]] = field(default_factory=dict)
     """Cache: faults of the bench -> campaign and segments corrected for them."""
+    corrected: dict[tuple[Explanation, ...], Campaign] = field(default_factory=dict)
+    """Cache: faults of the bench, but for the last -> campaign corrected for them."""
+    fits: dict[str, tuple[Segments, float, Fit]] = field(default_factory=dict)
+    """Cache: `last` -> segments, noise and fit."""
 
     def fitted(self, explanations: tuple[Explanation, ...], begin: State | None = None) -> State:
         """State with these explanations, starting from sizes in `begin`, with knots where the residual needs them."""
@@ -130,7 +136,7 @@ class Search:
                 explanations = self._timed(explanations, i, straight, expected)
             if linear:
                 campaign, segments = self._corrected(explanations)
-                raw = solved.again(segments, expected)
+                raw = self.again(solved, segments, expected)
                 forces = [self.columns(explanations[i], campaign, segments, straight, explanations) for i in linear]
                 explanations = _sized(explanations, linear, sizes_of(raw, np.hstack(forces)))
                 straight = self._rest(explanations, straight, solved, expected)[1]
@@ -143,19 +149,29 @@ class Search:
         """The rest after all corrections, and the fit to it at the knots of `like`."""
         segments = self._corrected(explanations)[1]
         off = forces_of(self.followed, segments, straight, explanations)
-        return segments.pulled(-off), like.again(segments, noise).pulled(-off)
+        return segments.pulled(-off), self.again(like, segments, noise).pulled(-off)
+
+    def again(self, like: Fit, segments: Segments, noise: float) -> Fit:
+        """`Fit.again`; the last one is cached, and its design serves all segments that differ in the force only."""
+        known, of, fit = self.fits.get("last", (None, 0.0, like))
+        same = known is not None and np.array_equal(fit.knots, like.knots)
+        if known is segments and same and of == noise:
+            return replace(fit, halves=like.halves, added=like.added)
+        design = fit.design if known is not None and same and segments.moves_like(known) else None
+        fit = like.again(segments, noise, design)
+        self.fits["last"] = segments, noise, fit
+        return fit
 
     def _corrected(self, explanations: Sequence[Explanation]) -> tuple[Campaign, Segments]:
         """The campaign corrected for faults of the bench, and its segments; the last few are cached."""
         faults = tuple(one for one in explanations if not one.of_muscle)
-        found = self.cuts.pop(faults, None)
-        if found is None:
-            campaign = in_samples(self.campaign, faults)
-            found = campaign, self.cut(campaign.samples)
-            while len(self.cuts) >= MOST_CUTS:
-                del self.cuts[next(iter(self.cuts))]
-        self.cuts[faults] = found
-        return found
+
+        def cut() -> tuple[Campaign, Segments]:
+            before = _cached(self.corrected, faults[:-1], lambda: in_samples(self.campaign, faults[:-1]))
+            campaign = in_samples(before, faults[-1:])
+            return campaign, self.cut(campaign.samples)
+
+        return _cached(self.cuts, faults, cut)
 
     def columns(
         self, one: Explanation, campaign: Campaign, segments: Segments, fit: Fit, others: Sequence[Explanation] = ()
@@ -209,7 +225,7 @@ class Search:
         """The same for both sizes of a clock together, from their present values (Gauss-Newton)."""
         for _ in range(PASSES):
             campaign, segments = self._corrected(explanations)
-            raw, one = fit.again(segments, noise), explanations[place]
+            raw, one = self.again(fit, segments, noise), explanations[place]
             sizes = one.sizes + sizes_of(raw, self.columns(one, campaign, segments, raw))
             if not (np.abs(sizes) < 2 * MOST_LATE).all():  # no clock: another thing is wrong
                 break
@@ -219,7 +235,7 @@ class Search:
     def left(self, explanations: tuple[Explanation, ...], fit: Fit, noise: float) -> tuple[Segments, Array]:
         """Corrected segments and the residual of the fit to them; properties of the muscle are sized anew."""
         campaign, segments = self._corrected(explanations)
-        raw = fit.again(segments, noise)
+        raw = self.again(fit, segments, noise)
         mine = [self.columns(one, campaign, segments, fit, explanations) for one in explanations if one.of_muscle]
         if not mine:
             return segments, raw.residual
@@ -307,6 +323,14 @@ class Search:
         sizes = [self.columns(one, test.campaign, test.segments, test.fit).shape[1] for one in more]
         sized = (replace(one, sizes=(0.0,) * many) for one, many in zip(more, sizes, strict=True))
         return self.state((*kept, *sized), test.fit, test.expected, timed=False)
+
+
+def _cached(known: dict[Key, Made], key: Key, make: Callable[[], Made]) -> Made:
+    """What `make` gives or gave for a key; the last `MOST_CUTS` are kept."""
+    known[key] = found = known.pop(key) if key in known else make()
+    while len(known) > MOST_CUTS:
+        del known[next(iter(known))]
+    return found
 
 
 def _promising(tried: Sequence[Explanation], ratios: Sequence[float], now: State) -> list[Explanation]:
