@@ -238,8 +238,8 @@ class Turns:
         return np.asarray(0.5 * self.h * (first - second))
 
 
-def fading(x: Array, lower: float, upper: float, w: float) -> tuple[Array, Array]:
-    """2/(1 + E) exp(-d1/w) and 2/(1 + E) exp(-d2/w) at `x`, shape (n,) each."""
+def fading(x: Array, lower: float, upper: float, w: float | Array) -> tuple[Array, Array]:
+    """2/(1 + E) exp(-d1/w) and 2/(1 + E) exp(-d2/w) at `x`, shape (n,) each; (k, n) for `w` (k, 1)."""
     size = 2.0 / (1.0 + np.exp(-(upper - lower) / w))
     return size * np.exp(-(x - lower) / w), size * np.exp(-(upper - x) / w)
 

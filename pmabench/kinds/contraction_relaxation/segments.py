@@ -15,7 +15,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from math import sqrt
-from operator import is_not
 from typing import Any
 
 import numpy as np
@@ -108,11 +107,6 @@ class Segments:
         """Whether the next segment starts directly after each one, in the same trial; shape (n - 1,)."""
         late = np.abs(np.diff(self.t) - self.v.shape[1] * self.dt)
         return np.asarray((np.diff(self.trial) == 0) & (late < 0.5 * self.dt))
-
-    def moves_like(self, other: Segments) -> bool:
-        """Whether pressure and contraction are the same, so that only the force may differ."""
-        each = ((getattr(one, name) for one in (self, other)) for name in ("way", "P", "x", "v"))
-        return all(np.array_equal(*pair) for pair in each)
 
     def where(self, rows: NDArray[np.bool_]) -> Segments:
         """Only some of the rows."""
@@ -208,18 +202,22 @@ TOGETHER = 8_000
 
 @dataclass(frozen=True, eq=False)
 class Kept:
-    """What was made last from the same arrays: a shifted channel changes neither the places of the segments nor other
-    channels. Arrays are the same where they are the same object, since nothing changes samples in place.
+    """What was made last from equal inputs: a shifted channel changes neither the places of segments nor what rests on
+    other channels.
     """
 
     last: dict[str, tuple[Sequence[object], Any]] = field(default_factory=dict)
 
-    def of(self, name: str, arrays: Sequence[object], make: Callable[[], Any]) -> Any:
-        """What `make` gives or gave for these arrays."""
+    def of(self, name: str, inputs: Sequence[Any], make: Callable[[], Any]) -> Any:
+        """What `make` gives or gave for these inputs: arrays, numbers or records."""
         known = self.last.get(name)
-        if known is None or len(known[0]) != len(arrays) or any(map(is_not, known[0], arrays)):
-            known = self.last[name] = arrays, make()
+        if known is None or len(known[0]) != len(inputs) or not all(map(_equal, known[0], inputs)):
+            known = self.last[name] = inputs, make()
         return known[1]
+
+
+def _equal(one: Any, other: Any) -> bool:
+    return one is other or np.array_equal(one, other)
 
 
 def cut(stretches: Sequence[Samples], rate: float, gate: Gate, kept: Kept | None = None) -> Segments:
@@ -233,17 +231,20 @@ def cut(stretches: Sequence[Samples], rate: float, gate: Gate, kept: Kept | None
     edges = [0, *(np.flatnonzero(np.diff(group)) + 1).tolist(), len(stretches)]
     groups = [stretches[first:last] for first, last in pairwise(edges)]
     moving = [one for s in stretches for one in (s.t, s.x, s.ok, s.force is None)]
-    parts = kept.of("motion", moving, lambda: [_motion(group, n, m, gate) for group in groups])
-    trial, t, way, x, v, gained, mass = kept.of(
-        "columns", [parts], lambda: list(map(np.concatenate, list(zip(*parts, strict=True))[1:]))
-    )
+
+    def motion() -> tuple[Sequence[Array], list[NDArray[Any]]]:
+        starts, *columns = zip(*(_motion(group, n, m, gate) for group in groups), strict=True)
+        return starts, list(map(np.concatenate, columns))
+
+    starts, (trial, t, way, x, v, gained, mass) = kept.of("motion", moving, motion)
 
     def around(columns: Sequence[Sequence[Array]]) -> Array:
         """The samples of each segment and `m` to both sides, shape (segments, n + 2 m), from those of each group."""
         rows = np.arange(-m, n + m)
-        return np.concatenate([_one(c)[start[:, None] + rows] for c, (start, *_) in zip(columns, parts, strict=True)])
+        return np.concatenate([_one(c)[start[:, None] + rows] for c, start in zip(columns, starts, strict=True)])
 
-    P = kept.of("pressure", [parts, *(s.P for s in stretches)], lambda: around([[s.P for s in g] for g in groups]))
+    pressures = [s.P for s in stretches]
+    P = kept.of("pressure", (*moving, *pressures), lambda: around([[s.P for s in g] for g in groups]))
     pulls = around([[np.full(len(s.t), s.load) if s.force is None else s.force for s in g] for g in groups])
     inner, force = slice(m, m + n), pulls @ weights + mass * gained
     return Segments(trial, t, way, P, x, P[:, inner], v, pulls[:, inner], force, mass, weights, 1 / rate)

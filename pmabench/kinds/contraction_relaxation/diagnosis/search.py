@@ -10,10 +10,9 @@ not decide between them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TypeVar
 
 import numpy as np
 
@@ -28,8 +27,8 @@ from pmabench.kinds.contraction_relaxation.diagnosis.corrections import (
     plausible,
 )
 from pmabench.kinds.contraction_relaxation.diagnosis.held_out import Test
-from pmabench.kinds.contraction_relaxation.pooled import Fit, fit, rms_of
-from pmabench.kinds.contraction_relaxation.segments import Campaign, Cut, Segments
+from pmabench.kinds.contraction_relaxation.pooled import Fit, design_of, fit, rms_of, solve
+from pmabench.kinds.contraction_relaxation.segments import Campaign, Cut, Kept, Segments
 from pmabench.store.records import Array
 
 MOST_CUTS = 3
@@ -57,7 +56,6 @@ ALL_OF_MUSCLE = (
     Explanation("hysteresis"),
     Explanation("creep", "by time"),
 )
-Key, Made = TypeVar("Key"), TypeVar("Made")
 FINEST = (Explanation("bend", "steep"), *(Explanation(kind, variant) for kind, variant in columns.FINER.items()))
 """All properties of the muscle in their finest forms, for a muscle that coarser ones do not describe."""
 
@@ -96,10 +94,7 @@ class Search:
     """Whether the cell may have drifted; False where weights show the drift, which is then corrected already."""
     cuts: dict[tuple[Explanation, ...], tuple[Campaign, Segments]] = field(default_factory=dict)
     """Cache: faults of the bench -> campaign and segments corrected for them."""
-    corrected: dict[tuple[Explanation, ...], Campaign] = field(default_factory=dict)
-    """Cache: faults of the bench, but for the last -> campaign corrected for them."""
-    fits: dict[str, tuple[Segments, float, Fit]] = field(default_factory=dict)
-    """Cache: `last` -> segments, noise and fit."""
+    kept: Kept = field(default_factory=Kept)
 
     def fitted(self, explanations: tuple[Explanation, ...], begin: State | None = None) -> State:
         """State with these explanations, starting from sizes in `begin`, with knots where the residual needs them."""
@@ -152,26 +147,25 @@ class Search:
         return segments.pulled(-off), self.again(like, segments, noise).pulled(-off)
 
     def again(self, like: Fit, segments: Segments, noise: float) -> Fit:
-        """`Fit.again`; the last one is cached, and its design serves all segments that differ in the force only."""
-        known, of, fit = self.fits.get("last", (None, 0.0, like))
-        same = known is not None and np.array_equal(fit.knots, like.knots)
-        if known is segments and same and of == noise:
-            return replace(fit, halves=like.halves, added=like.added)
-        design = fit.design if known is not None and same and segments.moves_like(known) else None
-        fit = like.again(segments, noise, design)
-        self.fits["last"] = segments, noise, fit
-        return fit
+        """`Fit.again`; the last one, and the last design, are cached."""
+        moves = like.knots, segments.way, segments.P, segments.x, segments.v
+        design = self.kept.of("design", moves, lambda: design_of(segments, like.knots))
+        known = (*moves, segments.force, noise)
+        fit: Fit = self.kept.of("fit", known, lambda: solve(segments, like.knots, noise, design))
+        return replace(fit, halves=like.halves, added=like.added)
 
     def _corrected(self, explanations: Sequence[Explanation]) -> tuple[Campaign, Segments]:
         """The campaign corrected for faults of the bench, and its segments; the last few are cached."""
         faults = tuple(one for one in explanations if not one.of_muscle)
-
-        def cut() -> tuple[Campaign, Segments]:
-            before = _cached(self.corrected, faults[:-1], lambda: in_samples(self.campaign, faults[:-1]))
+        found = self.cuts.pop(faults, None)
+        if found is None:
+            before = self.kept.of("before", faults[:-1], lambda: in_samples(self.campaign, faults[:-1]))
             campaign = in_samples(before, faults[-1:])
-            return campaign, self.cut(campaign.samples)
-
-        return _cached(self.cuts, faults, cut)
+            found = campaign, self.cut(campaign.samples)
+            while len(self.cuts) >= MOST_CUTS:
+                del self.cuts[next(iter(self.cuts))]
+        self.cuts[faults] = found
+        return found
 
     def columns(
         self, one: Explanation, campaign: Campaign, segments: Segments, fit: Fit, others: Sequence[Explanation] = ()
@@ -323,14 +317,6 @@ class Search:
         sizes = [self.columns(one, test.campaign, test.segments, test.fit).shape[1] for one in more]
         sized = (replace(one, sizes=(0.0,) * many) for one, many in zip(more, sizes, strict=True))
         return self.state((*kept, *sized), test.fit, test.expected, timed=False)
-
-
-def _cached(known: dict[Key, Made], key: Key, make: Callable[[], Made]) -> Made:
-    """What `make` gives or gave for a key; the last `MOST_CUTS` are kept."""
-    known[key] = found = known.pop(key) if key in known else make()
-    while len(known) > MOST_CUTS:
-        del known[next(iter(known))]
-    return found
 
 
 def _promising(tried: Sequence[Explanation], ratios: Sequence[float], now: State) -> list[Explanation]:
