@@ -96,15 +96,12 @@ class Fit:
 
     def values(self, symbol: str, P: Array) -> Array:
         """A coefficient [SI] at pressures P [Pa] of any shape."""
-        values = self.theta[self.columns(symbol)]
-        left, share = place(P, self.knots)
-        return np.asarray(values[left] * (1 - share) + values[left + 1] * share)
+        return between(self.theta[self.columns(symbol)], place(P, self.knots))
 
     def coefficients(self, P: Array) -> Array:
         """All of `SYMBOLS` [SI] at pressures P [Pa] of any shape; shape (4, *P.shape)."""
-        values = self.theta[:-1].reshape(len(SYMBOLS), -1)
-        left, share = place(P, self.knots)
-        return np.asarray(values[:, left] * (1 - share) + values[:, left + 1] * share)
+        at = place(P, self.knots)
+        return np.array([between(values, at) for values in self.theta[:-1].reshape(len(SYMBOLS), -1)])
 
     def damping(self, segments: Segments) -> Array:
         """B for the direction of each segment [N.s/m], shape (n,)."""
@@ -196,6 +193,12 @@ def place(P: Array, knots: Array) -> tuple[NDArray[np.intp], Array]:
     """Index of the knot to the left, and fraction of the way to the next; the end lines continue beyond the knots."""
     left = np.searchsorted(knots[1:-1], P, side="right")
     return left, (P - knots[left]) / np.diff(knots)[left]
+
+
+def between(values: Array, at: tuple[NDArray[np.intp], Array]) -> Array:
+    """A polygon with these values at the knots, `at` from `place`."""
+    left, share = at
+    return np.asarray(values.take(left) + np.diff(values).take(left) * share)
 
 
 def spread(at: tuple[NDArray[np.intp], Array], by: Array, k: int) -> Array:
