@@ -151,11 +151,13 @@ def fit_model(
     start: Mapping[str, float] | None = None,
     halves: Array | None = None,
     profiles: bool = True,
+    elsewhere: bool = True,
 ) -> ModelFit:
     """Fit the inputs `unknown` of `model` so that `output` follows `measured` (n,) at `columns` (n,) and `fixed`, SI.
 
     `start` replaces reference values in the first start. `halves` are 95 % half widths of `measured` (n,); they go into
-    the intervals, not into the weights. Without `profiles` intervals are linear, which takes a fraction of the time.
+    the intervals, not into the weights. Without `profiles` intervals are linear, which takes a fraction of the time;
+    not `elsewhere`: no other start is tried, for rows that hardly differ from those whose fit `start` is.
     Raises ValueError where there are fewer rows than unknowns, or where the model holds at none of the starts.
     """
     problem = Problem(model, output, unknown, {**fixed, **columns}, measured)
@@ -164,7 +166,7 @@ def fit_model(
         raise ValueError(f"{rows} cannot give {len(unknown)} values; give some of them with --set")
     begin = {p.name: p.value for p in model.parameters} | dict(start or {})
     first = np.clip([float(begin[name]) for name in unknown], problem.low, problem.high)
-    net = net_of(problem, first)
+    net = net_of(problem, first) if elsewhere else []
     ends = _ends(problem, [first, *net[: STARTS - 1]])
     best = min(ends, key=lambda end: end[0])
     tried = len(ends)

@@ -12,7 +12,7 @@ from math import isfinite, sqrt
 from typing import Any
 
 import numpy as np
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, leastsq
 from scipy.stats import qmc
 
 from pmabench.analysis.shared.calibration import listed
@@ -177,11 +177,12 @@ class Problem:
     def outputs_at(self, every: Array) -> Array:
         """Outputs at several points (k, unknowns), shape (k, count); raises OutsideDomain where one is outside."""
         named = {name: every[:, [i]] for i, name in enumerate(self.names)}
-        if self.fixed is not None and bool(np.all((every >= self.low) & (every <= self.high))):
-            found = self.model.unchecked(**self.fixed, **named)
+        if self.fixed is not None and (every >= self.low).all() and (every <= self.high).all():
+            found = self.model.unchecked(**self.fixed, **named)[self.output]
         else:
-            found = self.model.evaluate({**self.inputs, **named})
-        return np.broadcast_to(found[self.output], (len(every), self.count))
+            found = self.model.evaluate({**self.inputs, **named})[self.output]
+        shape = len(every), self.count
+        return found if found.shape == shape else np.broadcast_to(found, shape)
 
     def off_measured(self, output: Array) -> Array:
         """Computed minus measured, over the span."""
@@ -305,15 +306,19 @@ def solve(problem: Problem, start: Array, held: int | None = None) -> End:
         return problem.residuals(whole(part))
 
     fine = 1.0 if held is None else 1e4  # with one held only the sum of squares is asked for
-    how: dict[str, Any] = {"x_scale": "jac", "xtol": fine * 1e-11, "ftol": fine * 1e-13, "gtol": fine * 1e-13}
+    how: dict[str, Any] = {"xtol": fine * 1e-11, "ftol": fine * 1e-13, "gtol": fine * 1e-13}
     if len(free) <= problem.count:
         # MINPACK takes a third of the time, and knows no bounds: where they hold it up, the rest is done with them
-        found = least_squares(residuals, inside, slopes, method="lm", max_nfev=MOST_EVALUATIONS, **how)
-        lengths = np.linalg.norm(np.asarray(found.jac), axis=0) * np.sqrt(2 * found.cost)
-        if found.status > 0 and bool(np.all(np.abs(found.grad) <= FLAT * lengths)):
-            return 2.0 * float(found.cost), whole(np.asarray(found.x)), True
-        inside = found.x
-    found = least_squares(residuals, inside, slopes, (low, high), max_nfev=MOST_EVALUATIONS, **how)
+        x, _, facts, _, status = leastsq(
+            residuals, inside, Dfun=slopes, full_output=True, maxfev=MOST_EVALUATIONS, **how
+        )
+        off, jacobian = facts["fvec"], slopes(x)
+        squares = float(off @ off)
+        flat = np.abs(jacobian.T @ off) <= FLAT * np.linalg.norm(jacobian, axis=0) * sqrt(squares)
+        if status in (1, 2, 3, 4) and bool(np.all(flat)):
+            return squares, whole(x), True
+        inside = x
+    found = least_squares(residuals, inside, slopes, (low, high), x_scale="jac", max_nfev=MOST_EVALUATIONS, **how)
     return 2.0 * float(found.cost), whole(np.asarray(found.x)), bool(found.status > 0)
 
 

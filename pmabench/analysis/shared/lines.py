@@ -65,10 +65,15 @@ def weighted_line(group: Array, s: Array | None, y: Array, size: Array | None = 
     """
     size = np.abs(y) if size is None else size
     floor = PROPORTIONAL * np.maximum(size, 1e-3 * size.max())
-    error = np.hypot(floor, _scatter(group, y))
+    names, rows, count = np.unique(group, return_inverse=True, return_counts=True)
+
+    def mean(values: Array) -> Array:
+        """Of each group."""
+        return np.asarray(np.bincount(rows, values) / count)
+
+    error = np.hypot(floor, _scatter(y - mean(y)[rows], len(names)))
     weight = 1.0 / error if error.min() > 0 else np.ones_like(error)
     columns = 1 if s is None else 2
-    names = np.unique(group)
     if len(names) < columns:
         return Line(nan, nan, None, None)
 
@@ -85,9 +90,7 @@ def weighted_line(group: Array, s: Array | None, y: Array, size: Array | None = 
 
     design = np.ones((len(y), 1)) if s is None else np.column_stack([np.ones_like(y), s])
     fitted, points = solve(design, y, weight)
-    rows = [group == name for name in names]
-    means = np.array([design[row].mean(axis=0) for row in rows])
-    _, grouped = solve(means, np.array([y[r].mean() for r in rows]), np.array([weight[r].mean() for r in rows]))
+    _, grouped = solve(np.column_stack([mean(column) for column in design.T]), mean(y), mean(weight))
     both = [half for half in (points, grouped) if half is not None]
     wider = [max(half[i] for half in both) for i in range(columns)] if both else [None] * columns
     if s is None:
@@ -95,14 +98,10 @@ def weighted_line(group: Array, s: Array | None, y: Array, size: Array | None = 
     return Line(float(fitted[0]), float(fitted[1]), wider[0], wider[1])
 
 
-def _scatter(group: Array, y: Array) -> float:
-    """Pooled standard deviation within groups [as y]; 0 without repeats."""
-    squares, freedom = 0.0, 0
-    for name in np.unique(group):
-        values = y[group == name]
-        squares += float(np.sum((values - values.mean()) ** 2))
-        freedom += len(values) - 1
-    return sqrt(squares / freedom) if freedom else 0.0
+def _scatter(off: Array, groups: int) -> float:
+    """Pooled standard deviation from deviations (n,) from the means of so many groups [as y]; 0 without repeats."""
+    freedom = len(off) - groups
+    return sqrt(float(off @ off) / freedom) if freedom else 0.0
 
 
 def mean_of_cycles(values: Sequence[Array]) -> tuple[float, float | None]:

@@ -135,9 +135,14 @@ def corner(t: Array, y: Array) -> float | None:
     """Time [s] at which y(t) changes from one straight line to another; None where that is at an end."""
     tried = np.linspace(0.7 * float(t[0]), 0.7 * float(t[-1]), 2 * TRIED)
     left = left_by(np.stack([np.ones_like(t), t]), np.maximum(t - tried[:, None], 0.0)[:, None], y)
+    return None if int(np.argmin(left)) in (0, len(tried) - 1) else _lowest(tried, left)
+
+
+def _lowest(tried: Array, left: Array) -> float:
+    """Where `left` is least, between values `tried` at even distances: at an end, or by a parabola."""
     place = int(np.argmin(left))
     if place in (0, len(tried) - 1):
-        return None
+        return float(tried[place])
     low, mid, high = left[place - 1 : place + 2]
     bend = low - 2 * mid + high
     vertex = float(0.5 * (low - high) / bend) if bend > 0 else 0.0  # of the parabola through these, in steps
@@ -196,6 +201,8 @@ BETTER = 0.5
 UNEVEN = 0.2
 """Relative difference that the drift within a cycle may have from a straight line through the cycles."""
 LATE = "time between what moves and what pulls"
+FINER = 2
+"""How often w is searched among steps 20 times finer, until a parabola is exact."""
 WIDEST = 0.4
 """Largest w over the stroke."""
 
@@ -231,8 +238,8 @@ class Turns:
         return np.asarray(0.5 * self.h * (first - second))
 
 
-def fading(x: Array, lower: float, upper: float, w: float) -> tuple[Array, Array]:
-    """2/(1 + E) exp(-d1/w) and 2/(1 + E) exp(-d2/w) at `x`, shape (n,) each."""
+def fading(x: Array, lower: float, upper: float, w: float | Array) -> tuple[Array, Array]:
+    """2/(1 + E) exp(-d1/w) and 2/(1 + E) exp(-d2/w) at `x`, shape (n,) each; (k, n) for `w` (k, 1)."""
     size = 2.0 / (1.0 + np.exp(-(upper - lower) / w))
     return size * np.exp(-(x - lower) / w), size * np.exp(-(upper - x) / w)
 
@@ -255,40 +262,42 @@ def _found(x: Array, gap: Array, lower: float, upper: float, order: int) -> tupl
 
     None with too few points, or where the gap has no variation or h is not above 0.
     """
-    from scipy.optimize import minimize_scalar  # takes long to import, and most kinds have no ramps
-
-    z = (2 * x - lower - upper) / (upper - lower)
-    powers = [z**k for k in range(order + 1)]
-
-    def left(columns: list[Array]) -> tuple[float, float]:
-        """First coefficient, and rms of the residual [N]."""
-        design = np.column_stack(columns)
-        terms, *_ = np.linalg.lstsq(design, gap, rcond=None)
-        return float(terms[0]), float(np.sqrt(np.mean((gap - design @ terms) ** 2)))
-
-    flat = left(powers)[1] if len(x) >= 8 else 0.0
+    z, stroke = (2 * x - lower - upper) / (upper - lower), upper - lower
+    if len(x) < 8:
+        return None, False
+    flat = _rms(_beyond(z[:, None] ** np.arange(order + 1), gap))
     if flat <= 1e-9 * float(np.max(np.abs(gap))):
         return None, False
+    others = z[:, None] ** np.arange(1, order + 1)
+    rest = _beyond(others, gap)
 
-    def solve(w: float) -> tuple[float, float]:
-        first, second = fading(x, lower, upper, w)
-        return left([2.0 - first - second, *powers[1:]])
+    def solve(w: Array) -> tuple[Array, Array]:
+        """Size h and rms of the residual [N] for each w [m], shape (k,); h by variable projection."""
+        first, second = fading(x, lower, upper, w[:, None])
+        one = _beyond(others, (2.0 - first - second).T)
+        h = rest @ one / np.sum(one**2, axis=0)
+        return h, np.sqrt(np.mean((rest[:, None] - h * one) ** 2, axis=0))
 
-    stroke = upper - lower
-    bounds = np.log(0.5 * float(x[1] - x[0])), np.log(WIDEST * stroke)
-    starts = np.linspace(*bounds, 40)
-    best = starts[int(np.argmin([solve(float(np.exp(s)))[1] for s in starts]))]
-    step = starts[1] - starts[0]
-    finest = minimize_scalar(
-        lambda s: solve(float(np.exp(s)))[1],
-        bounds=(best - step, best + step),
-        method="bounded",
-        options={"xatol": 1e-6},
-    )
-    w = float(np.exp(finest.x))
-    h, rms = solve(w)
+    tried = np.linspace(np.log(0.5 * float(x[1] - x[0])), np.log(WIDEST * stroke), 40)
+    ends = -np.inf, np.inf
+    for _ in range(FINER):
+        best, step = tried[int(np.argmin(solve(np.exp(tried))[1]))], tried[1] - tried[0]
+        ends = max(ends[0], best - step), min(ends[1], best + step)
+        tried = np.linspace(*ends, 40)
+    w = float(np.exp(_lowest(tried, solve(np.exp(tried))[1])))
+    h, rms = (float(found[0]) for found in solve(np.array([w])))
     found = Turns(h, w, lower, upper, rms)
     return (found if h > 0 else None), rms <= BETTER * flat and w < WIDEST * stroke and h > 0
+
+
+def _beyond(columns: Array, y: Array) -> Array:
+    """What least squares by `columns` (n, m) leave of y, shape (n,) or (n, k)."""
+    basis, _ = np.linalg.qr(columns)
+    return np.asarray(y - basis @ (basis.T @ y))
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 POINTS = 81

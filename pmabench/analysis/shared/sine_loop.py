@@ -239,10 +239,11 @@ def lost_work(x: Array, F: Array) -> float:
 def at_middle(t: Array, x: Array, F: Array, mean: float, X: complex, omega: float) -> tuple[float, float]:
     """Force while returning and while contracting at `mean` [N], by parabolas through middle samples; NaN without."""
     position = (x - mean) / abs(X)
-    contracting = np.real(1j * X * np.exp(1j * omega * t)) > 0
     middle = np.abs(position) < MIDDLE
+    position, F = position[middle], F[middle]
+    contracting = np.real(1j * X * np.exp(1j * omega * t[middle])) > 0
     at: list[float] = []
-    for branch in (middle & ~contracting, middle & contracting):
+    for branch in (~contracting, contracting):
         order = min(2, len(np.unique(np.round(position[branch] / PLACE))) - 1)
         if order < 0:
             return float("nan"), float("nan")

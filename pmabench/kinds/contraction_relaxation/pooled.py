@@ -96,15 +96,12 @@ class Fit:
 
     def values(self, symbol: str, P: Array) -> Array:
         """A coefficient [SI] at pressures P [Pa] of any shape."""
-        values = self.theta[self.columns(symbol)]
-        left, share = place(P, self.knots)
-        return np.asarray(values[left] * (1 - share) + values[left + 1] * share)
+        return between(self.theta[self.columns(symbol)], place(P, self.knots))
 
     def coefficients(self, P: Array) -> Array:
         """All of `SYMBOLS` [SI] at pressures P [Pa] of any shape; shape (4, *P.shape)."""
-        values = self.theta[:-1].reshape(len(SYMBOLS), -1)
-        left, share = place(P, self.knots)
-        return np.asarray(values[:, left] * (1 - share) + values[:, left + 1] * share)
+        at = place(P, self.knots)
+        return np.array([between(values, at) for values in self.theta[:-1].reshape(len(SYMBOLS), -1)])
 
     def damping(self, segments: Segments) -> Array:
         """B for the direction of each segment [N.s/m], shape (n,)."""
@@ -196,6 +193,12 @@ def place(P: Array, knots: Array) -> tuple[NDArray[np.intp], Array]:
     """Index of the knot to the left, and fraction of the way to the next; the end lines continue beyond the knots."""
     left = np.searchsorted(knots[1:-1], P, side="right")
     return left, (P - knots[left]) / np.diff(knots)[left]
+
+
+def between(values: Array, at: tuple[NDArray[np.intp], Array]) -> Array:
+    """A polygon with these values at the knots, `at` from `place`."""
+    left, share = at
+    return np.asarray(values.take(left) + np.diff(values).take(left) * share)
 
 
 def spread(at: tuple[NDArray[np.intp], Array], by: Array, k: int) -> Array:
@@ -389,17 +392,38 @@ def rms_of(values: Array) -> float:
 
 
 def _with_knot(segments: Segments, solved: Fit, stretch: tuple[float, float], expected: float) -> Fit:
-    """The fit with one more knot in the stretch [Pa]: the best of some places, then the best near that one."""
+    """The fit with one more knot in the stretch [Pa]: the best of some places, then the best near that one.
+
+    The places are compared by what each takes off the sum of squares of the residual. Only rows with a pressure in the
+    stretch have another design with it.
+    """
     low, high = stretch
-    found: list[tuple[float, Fit]] = []
     number = int(np.searchsorted(solved.knots, low))
+    rows = (place(segments.P, solved.knots)[0] == number).any(axis=1)
+    near, left, rest = segments.where(rows), solved.residual[rows], solved.design[~rows]
+    before = len(solved.knots) * np.arange(len(SYMBOLS)) + number + 1  # where each coefficient gets one more unknown
+    others = np.insert(np.insert(rest.T @ rest, before, 0.0, axis=0), before, 0.0, axis=1)
+    pull_of_others = np.insert(rest.T @ solved.residual[~rows], before, 0.0)
+
+    def finer(P: float) -> Array:
+        return np.insert(solved.knots, number + 1, P)
+
+    def change(P: float) -> float:
+        """Of the sum of squares by a knot at P [Pa]."""
+        design, prior = design_of(near, finer(P)), prior_of(segments, finer(P), expected)
+        design[:, -1] *= solved.friction
+        normal, pull, weak = others + design.T @ design, pull_of_others + design.T @ left, prior.T @ prior
+        now = np.insert(solved.theta, before, solved.coefficients(np.array(P)))
+        by = inverse_of(normal + weak) @ (pull - weak @ now)
+        return float(by @ normal @ by - 2 * pull @ by)
+
+    found: dict[float, float] = {}
     for _ in range(2):
         apart = (high - low) / (PLACES + 1)
-        for P in low + apart * np.arange(1, PLACES + 1):
-            found.append((float(P), solve(segments, np.insert(solved.knots, number + 1, P), expected)))
-        place_of, best = min(found, key=lambda one: float(one[1].residual @ one[1].residual))
-        low, high = place_of - apart, place_of + apart
-    return best
+        found |= {float(P): change(P) for P in low + apart * np.arange(1, PLACES + 1)}
+        best = min(found, key=found.__getitem__)
+        low, high = best - apart, best + apart
+    return solve(segments, finer(best), expected)
 
 
 def _worst_stretch(segments: Segments, solved: Fit, expected: float) -> tuple[float, float] | None:

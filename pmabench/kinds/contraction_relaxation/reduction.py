@@ -47,6 +47,7 @@ from pmabench.kinds.contraction_relaxation.segments import (
     Campaign,
     Cut,
     Gate,
+    Kept,
     Segments,
     cut,
     gather,
@@ -161,7 +162,8 @@ def segments_like(campaign: Campaign) -> tuple[Array, Cut]:
     """First knots of the fit [Pa], and the function that cuts samples into segments within their range."""
     commanded = np.unique([c.value for trial in campaign.trials for c in trial.commands if c.output == "pressure"])
     knots = first_knots(np.array(campaign.tested), commanded)
-    return knots, lambda samples: cut(samples, campaign.rate, Gate()).within(knots)
+    kept = Kept()
+    return knots, lambda samples: cut(samples, campaign.rate, Gate(), kept).within(knots)
 
 
 def _replays(

@@ -12,7 +12,7 @@ A `Campaign` holds the trials of all runs that can be reduced together, with the
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from math import sqrt
 from typing import Any
@@ -200,24 +200,66 @@ TOGETHER = 8_000
 """Samples that are cut at once: short stretches are cut faster together, long ones are copied slower."""
 
 
-def cut(stretches: Sequence[Samples], rate: float, gate: Gate) -> Segments:
-    """All segments of the stretches, in their order, contracting before relaxing in each."""
+@dataclass(frozen=True, eq=False)
+class Kept:
+    """What was made last from equal inputs: a shifted channel changes neither the places of segments nor what rests on
+    other channels.
+    """
+
+    last: dict[str, tuple[Sequence[object], Any]] = field(default_factory=dict)
+
+    def of(self, name: str, inputs: Sequence[Any], make: Callable[[], Any]) -> Any:
+        """What `make` gives or gave for these inputs: arrays, numbers or records."""
+        known = self.last.get(name)
+        if known is None or len(known[0]) != len(inputs) or not all(map(_equal, known[0], inputs)):
+            known = self.last[name] = inputs, make()
+        return known[1]
+
+
+def _equal(one: Any, other: Any) -> bool:
+    return one is other or np.array_equal(one, other)
+
+
+def cut(stretches: Sequence[Samples], rate: float, gate: Gate, kept: Kept | None = None) -> Segments:
+    """All segments of the stretches, in their order, contracting before relaxing in each; `kept` from one call to the
+    next where these differ in some channels only.
+    """
     n, m = gate.samples(rate)
+    kept = kept or Kept()
     weights = np.convolve(np.ones(n), np.concatenate(([0.5], np.ones(2 * m - 1), [0.5]))) / (2 * m * n)
     group = np.cumsum([len(samples.t) for samples in stretches]) // TOGETHER
     edges = [0, *(np.flatnonzero(np.diff(group)) + 1).tolist(), len(stretches)]
-    parts = [_taken(stretches[first:last], n, m, weights, gate) for first, last in pairwise(edges)]
-    columns: list[Any] = [*map(np.concatenate, zip(*parts, strict=True)), weights, 1 / rate]
-    return Segments(*columns)
+    groups = [stretches[first:last] for first, last in pairwise(edges)]
+    moving = [one for s in stretches for one in (s.t, s.x, s.ok, s.force is None, s.mass, s.trial)]
+
+    def motion() -> tuple[Sequence[Array], list[NDArray[Any]]]:
+        starts, *columns = zip(*(_motion(group, n, m, gate) for group in groups), strict=True)
+        return starts, list(map(np.concatenate, columns))
+
+    starts, (trial, t, way, x, v, gained, mass) = kept.of("motion", moving, motion)
+
+    def around(columns: Sequence[Sequence[Array]]) -> Array:
+        """The samples of each segment and `m` to both sides, shape (segments, n + 2 m), from those of each group."""
+        rows = np.arange(-m, n + m)
+        return np.concatenate([_one(c)[start[:, None] + rows] for c, start in zip(columns, starts, strict=True)])
+
+    pressures = [s.P for s in stretches]
+    P = kept.of("pressure", (*moving, *pressures), lambda: around([[s.P for s in g] for g in groups]))
+    pulls = around([[np.full(len(s.t), s.load) if s.force is None else s.force for s in g] for g in groups])
+    inner, force = slice(m, m + n), pulls @ weights + mass * gained
+    return Segments(trial, t, way, P, x, P[:, inner], v, pulls[:, inner], force, mass, weights, 1 / rate)
 
 
-def _taken(stretches: Sequence[Samples], n: int, m: int, weights: Array, gate: Gate) -> tuple[NDArray[Any], ...]:
-    """Columns of `Segments` for stretches, in the order of their declaration; segments have `n` samples, the velocity
-    is taken over `m` samples to both sides.
+def _one(columns: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    return columns[0] if len(columns) == 1 else np.concatenate(columns)
+
+
+def _motion(stretches: Sequence[Samples], n: int, m: int, gate: Gate) -> tuple[NDArray[Any], ...]:
+    """Of the segments of stretches the first sample among all; then trial, first time, direction, contraction around,
+    velocity, change of velocity by time, and moving mass, 0 with a cell. Segments have `n` samples, the velocity is
+    taken over `m` samples to both sides.
     """
-    forces = [np.full(len(s.t), s.load) if s.force is None else s.force for s in stretches]
-    columns = (*([getattr(s, name) for s in stretches] for name in ("t", "P", "x", "ok")), forces)
-    t, P, x, ok, F = (column[0] if len(column) == 1 else np.concatenate(column) for column in columns)
+    t, x, ok = (_one([getattr(s, name) for s in stretches]) for name in ("t", "x", "ok"))
     ends = np.cumsum([len(samples.t) for samples in stretches])
     with np.errstate(divide="ignore", invalid="ignore"):
         v = velocity(t, x, m)
@@ -226,13 +268,11 @@ def _taken(stretches: Sequence[Samples], n: int, m: int, weights: Array, gate: G
     stretch = np.searchsorted(ends, start, side="right")
     order = np.lexsort((start, -way, stretch))
     start, way, stretch = start[order], way[order], stretch[order]
-    middle = start[:, None] + np.arange(n)
-    around = start[:, None] + np.arange(-m, n + m)
     mass = np.array([0.0 if s.force is not None else s.mass for s in stretches])[stretch]
-    pulls, P, x = F[around], P[around], x[around]
-    force = pulls @ weights + mass * (v[start + n] - v[start - 1]) / (t[start + n] - t[start - 1])
+    gained = (v[start + n] - v[start - 1]) / (t[start + n] - t[start - 1])
     number = np.array([samples.trial for samples in stretches], np.intp)[stretch]
-    return number, t[start], way, P, x, P[:, m : m + n], v[middle], pulls[:, m : m + n], force, mass
+    rows = start[:, None] + np.arange(-m, n + m)
+    return start, number, t[start], way, x[rows], v[rows[:, m : m + n]], gained, mass
 
 
 def _places(usable: NDArray[np.bool_], v: Array, n: int, m: int, gate: Gate) -> tuple[NDArray[np.intp], Array]:

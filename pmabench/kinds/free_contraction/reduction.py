@@ -203,9 +203,9 @@ def _fit(
     fixed["nominal_length"] = length
     start = {"a": 0.7 * length, "b": 0.3 * length}
     through = partial(fit_model, model, "length", {"pressure": np.maximum(P, 0.0)}, fixed, unknown=UNKNOWN)
-    for _ in range(ROUNDS):
+    for number in range(ROUNDS):
         try:
-            fit, fitted = through(length - x - off, start=start, profiles=False), x
+            fit, fitted = through(length - x - off, start=start, profiles=False, elsewhere=number == 0), x
         except ValueError:
             return None, NONE_NEAR
         if not fit.residual_rms <= MOST_LEFT * np.std(x):

@@ -7,7 +7,7 @@ with the residual of the fit. See docs/uncertainty.md, "Is the form right?".
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from itertools import pairwise
 
@@ -18,7 +18,7 @@ from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.kinds.contraction_relaxation.intervals import zero_drifts
 from pmabench.kinds.contraction_relaxation.pooled import Fit, force_by_pressure
-from pmabench.kinds.contraction_relaxation.segments import Campaign, Gate, Segments
+from pmabench.kinds.contraction_relaxation.segments import Campaign, Gate, Kept, Segments
 from pmabench.store.records import Array
 
 MOST_PLACES = 40
@@ -307,6 +307,7 @@ class Followed:
     """Running sums over time steps of `GRID` of the friction elements' states, -1 to 1, and the lagged contractions
     [m]; shape (steps, radii + times, trials that lifted + 1).
     """
+    kept: Kept = field(default_factory=Kept)
 
     @classmethod
     def of(cls, campaign: Campaign) -> Followed:
@@ -351,10 +352,13 @@ class Followed:
         return self._means(segments)[:, len(RADII) :]
 
     def _means(self, segments: Segments) -> Array:
-        length = segments.v.shape[1] * segments.dt
-        row = (segments.t - self.begins[segments.trial] - 0.5 * GRID) / GRID
-        trial = self.column[segments.trial]
-        return np.asarray((self._at(row + length / GRID, trial) - self._at(row, trial)) * GRID / length)
+        def means() -> Array:
+            length = segments.v.shape[1] * segments.dt
+            row = (segments.t - self.begins[segments.trial] - 0.5 * GRID) / GRID
+            trial = self.column[segments.trial]
+            return np.asarray((self._at(row + length / GRID, trial) - self._at(row, trial)) * GRID / length)
+
+        return np.asarray(self.kept.of("means", (segments.t, segments.trial), means))
 
     def _at(self, row: Array, trial: NDArray[np.intp]) -> Array:
         """Running sums at fractional time steps `row`, shape (n, k)."""

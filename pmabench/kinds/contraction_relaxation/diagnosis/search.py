@@ -27,8 +27,8 @@ from pmabench.kinds.contraction_relaxation.diagnosis.corrections import (
     plausible,
 )
 from pmabench.kinds.contraction_relaxation.diagnosis.held_out import Test
-from pmabench.kinds.contraction_relaxation.pooled import Fit, fit, rms_of
-from pmabench.kinds.contraction_relaxation.segments import Campaign, Cut, Segments
+from pmabench.kinds.contraction_relaxation.pooled import Fit, design_of, fit, rms_of, solve
+from pmabench.kinds.contraction_relaxation.segments import Campaign, Cut, Kept, Segments
 from pmabench.store.records import Array
 
 MOST_CUTS = 3
@@ -94,6 +94,7 @@ class Search:
     """Whether the cell may have drifted; False where weights show the drift, which is then corrected already."""
     cuts: dict[tuple[Explanation, ...], tuple[Campaign, Segments]] = field(default_factory=dict)
     """Cache: faults of the bench -> campaign and segments corrected for them."""
+    kept: Kept = field(default_factory=Kept)
 
     def fitted(self, explanations: tuple[Explanation, ...], begin: State | None = None) -> State:
         """State with these explanations, starting from sizes in `begin`, with knots where the residual needs them."""
@@ -130,7 +131,7 @@ class Search:
                 explanations = self._timed(explanations, i, straight, expected)
             if linear:
                 campaign, segments = self._corrected(explanations)
-                raw = solved.again(segments, expected)
+                raw = self.again(solved, segments, expected)
                 forces = [self.columns(explanations[i], campaign, segments, straight, explanations) for i in linear]
                 explanations = _sized(explanations, linear, sizes_of(raw, np.hstack(forces)))
                 straight = self._rest(explanations, straight, solved, expected)[1]
@@ -143,14 +144,23 @@ class Search:
         """The rest after all corrections, and the fit to it at the knots of `like`."""
         segments = self._corrected(explanations)[1]
         off = forces_of(self.followed, segments, straight, explanations)
-        return segments.pulled(-off), like.again(segments, noise).pulled(-off)
+        return segments.pulled(-off), self.again(like, segments, noise).pulled(-off)
+
+    def again(self, like: Fit, segments: Segments, noise: float) -> Fit:
+        """`Fit.again`; the last one, and the last design, are cached."""
+        moves = like.knots, segments.way, segments.P, segments.x, segments.v
+        design = self.kept.of("design", moves, lambda: design_of(segments, like.knots))
+        known = (*moves, segments.force, noise)
+        fit: Fit = self.kept.of("fit", known, lambda: solve(segments, like.knots, noise, design))
+        return replace(fit, halves=like.halves, added=like.added)
 
     def _corrected(self, explanations: Sequence[Explanation]) -> tuple[Campaign, Segments]:
         """The campaign corrected for faults of the bench, and its segments; the last few are cached."""
         faults = tuple(one for one in explanations if not one.of_muscle)
         found = self.cuts.pop(faults, None)
         if found is None:
-            campaign = in_samples(self.campaign, faults)
+            before = self.kept.of("before", faults[:-1], lambda: in_samples(self.campaign, faults[:-1]))
+            campaign = in_samples(before, faults[-1:])
             found = campaign, self.cut(campaign.samples)
             while len(self.cuts) >= MOST_CUTS:
                 del self.cuts[next(iter(self.cuts))]
@@ -209,7 +219,7 @@ class Search:
         """The same for both sizes of a clock together, from their present values (Gauss-Newton)."""
         for _ in range(PASSES):
             campaign, segments = self._corrected(explanations)
-            raw, one = fit.again(segments, noise), explanations[place]
+            raw, one = self.again(fit, segments, noise), explanations[place]
             sizes = one.sizes + sizes_of(raw, self.columns(one, campaign, segments, raw))
             if not (np.abs(sizes) < 2 * MOST_LATE).all():  # no clock: another thing is wrong
                 break
@@ -219,7 +229,7 @@ class Search:
     def left(self, explanations: tuple[Explanation, ...], fit: Fit, noise: float) -> tuple[Segments, Array]:
         """Corrected segments and the residual of the fit to them; properties of the muscle are sized anew."""
         campaign, segments = self._corrected(explanations)
-        raw = fit.again(segments, noise)
+        raw = self.again(fit, segments, noise)
         mine = [self.columns(one, campaign, segments, fit, explanations) for one in explanations if one.of_muscle]
         if not mine:
             return segments, raw.residual

@@ -199,11 +199,15 @@ class Diagnosis:
         found += ["before any creep"] if creeps and self.note else []
         return f"K is {', '.join(found)}" if found else ""
 
+    @cached_property
+    def _span(self) -> Span:
+        return Span.of(self.reported.test.segments)
+
     def slope_at(self, P: float) -> float | None:
         """Contraction [m] at which K at a pressure [Pa] is the slope; None where K is the same everywhere."""
         if self.state == "withheld" or not self.bent:
             return None
-        return float(Span.of(self.reported.test.segments).middle(np.array([P]))[0])
+        return float(self._span.middle(np.array([P]))[0])
 
     def more(self, x: Array, P: Array) -> Array:
         """Force of the fitted muscle beyond F_ce - K x because of its bend [N], at contractions [m] and pressures [Pa],
@@ -212,7 +216,7 @@ class Diagnosis:
         test, found = self.reported.test, np.zeros(len(x))
         for one in self.reported.explanations:
             if one.kind == "bend":
-                shapes = bent(one.which, x, P, test.fit.values("K", P), Span.of(test.segments))
+                shapes = bent(one.which, x, P, test.fit.values("K", P), self._span)
                 found = found + shapes @ np.array(one.sizes)
         return found
 
