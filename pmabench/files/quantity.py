@@ -84,7 +84,7 @@ def _in_library(unit: str) -> str:
 
 
 def _unknown(unit: str, quantity: str) -> str:
-    """Capitals count in units, so that a unit in other capitals is the likeliest mistake."""
+    """What is wrong with a unit; capitals count, so the likeliest mistake is a unit in other capitals."""
     known = [name for units in (USUAL.get(quantity, {}), *USUAL.values()) for name in units]
     alike = next((name for name in known if name.lower() == unit.lower()), None)
     return f'unknown unit "{unit}"' + (f'; did you mean "{alike}"?' if alike else f", {_hint(quantity)}")

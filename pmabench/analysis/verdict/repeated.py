@@ -17,7 +17,7 @@ from pmabench.store.analyses.results import Finding
 from pmabench.store.records import Array, ChannelInfo, RunData, TrialData
 
 LASTS, SAMPLES = 1.0, 25
-"""Least time [s] and number of samples with one reading: two in a row are usual, so many are not."""
+"""Least time [s] and number of samples with one reading from which on it counts as repeated; two in a row are usual."""
 RATE, WINDOW = 20.0, 20
 """Samples a second in which noise is looked for, and their number: they must reverse often, and all readings in their
 time as well, which a motion does not.

@@ -229,8 +229,8 @@ class Cell:
     # -- estimates ------------------------------------------------------------------------------------------------
 
     def over_pressure(self, near: Cell | None, of: Callable[[Cell], float]) -> float | None:
-        """Derivative by pressure [per Pa] of a number of the cell, from the cell `near`; None unless that reaches the
-        middle.
+        """Change of a number `of` a cell with pressure [its unit per Pa], from this cell to the cell `near` at another
+        pressure; None unless the stroke of `near` includes the middle of this one.
         """
         if near is None or not near.x[0] <= self.middle <= near.x[-1]:
             return None

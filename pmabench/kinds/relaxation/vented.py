@@ -54,7 +54,7 @@ class Vented:
     relaxed: Callable[[Array], Array]
     """The part of the force that changes after this step [N]."""
     straight: bool
-    """Whether that is straight over log t: exponentials cannot be told from a drift that fades."""
+    """Whether that is straight over log t; exponentials could also be a drift that fades."""
 
     @cached_property
     def _before(self) -> float:
