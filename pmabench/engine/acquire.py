@@ -390,12 +390,19 @@ class Acquisition:
         source.stream.collect()  # gives nothing new, but the device notices that time went back
         return True
 
-    def _act(self, trips: Sequence[Trip]) -> None:
-        """Carry out the actions of the limits: warn, hold, or end the run."""
+    def _doubt(self, trips: Sequence[Trip]) -> None:
+        """Note which pressures may read low although they are not."""
         for trip in trips:
             if trip.limit.kind in {"following", "frozen"} and CHANNEL_QUANTITY[trip.limit.channel] == "pressure":
-                doubts = trip.value < self._bench.hands_below and not trip.over
-                (self.doubted.add if doubts else self.doubted.discard)(trip.limit.channel)
+                if trip.value < self._bench.hands_below and not trip.over:
+                    self.doubted.add(trip.limit.channel)
+                else:
+                    self.doubted.discard(trip.limit.channel)
+
+    def _act(self, trips: Sequence[Trip]) -> None:
+        """Carry out the actions of the limits: warn, hold, or end the run."""
+        self._doubt(trips)  # of all, before the first one may end the run
+        for trip in trips:
             if trip.limit.action in ENDS:
                 self._tripped = Tripped(trip)
                 if trip.limit.action == "vent":

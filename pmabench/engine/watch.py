@@ -142,7 +142,7 @@ class Watch:
         """Limits exceeded in this block for longer than their delay, and those that are met again, in order of time.
 
         `t` [s] and each of `values` [SI] have shape (n,); `now` [s] is the arrival of the last sample that was not old.
-        NaN counts as outside. Nothing is reported after the first trip that ends the run. `extremes` are those of
+        NaN counts as outside. Nothing is reported after the sample that ends the run. `extremes` are those of
         `values`, where they are known.
         """
         extremes = extremes_of(values) if extremes is None else extremes
@@ -163,7 +163,8 @@ class Watch:
             if watched.limit.kind == "following":
                 found += self._not_falling(watched, t, samples)
         found.sort(key=lambda trip: trip.index)
-        return found[: next((n + 1 for n, trip in enumerate(found) if trip.limit.action in ENDS), None)]
+        end = next((trip.index for trip in found if trip.limit.action in ENDS), len(t))
+        return [trip for trip in found if trip.index <= end]
 
     def look_once(self, t: float, values: Mapping[str, float], now: float | None = None) -> list[Trip]:
         """As `look`, for a single sample in plain numbers: faster, for loops that are closed at every sample."""

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pmabench.bench.interface import ChannelRecord, Scale, TripRecord
-from pmabench.engine.acquire import Acquisition
+from pmabench.engine.acquire import Acquisition, Tripped
 from pmabench.engine.commanded import SETTLES, Commanded
 from pmabench.engine.watch import Trip, Watch
 
@@ -431,3 +431,19 @@ def test_what_another_channel_does_leaves_the_doubt_of_a_gauge():
         acquisition._act([trip])
         seen.append(set(acquisition.doubted))
     assert seen == [{names[0]}, {names[0]}, {names[0]}, {*names[:2]}, {names[1]}]
+
+
+def test_of_two_gauges_that_do_not_move_from_the_same_sample_on_both_are_doubted():
+    """The first one ended the run, and the second confirmed its vent."""
+    names = ("pressure_1", "pressure_2")
+    limits = [TripRecord(name, None, None, 5.0, "vent", "bench.yaml", "frozen") for name in names]
+    t = np.arange(0.0, 8.0, 0.01)
+    trips = Watch(limits).look(t, {name: np.zeros(len(t)) for name in names})
+    assert [trip.limit.channel for trip in trips] == [*names]
+    acquisition = Acquisition.__new__(Acquisition)
+    acquisition._bench, acquisition.clock = SimpleNamespace(hands_below=10e3), SimpleNamespace(now=lambda: 8.0)
+    acquisition._recorder = SimpleNamespace(event=lambda *_, **__: None)
+    acquisition.doubted, acquisition.commanded, acquisition.on_trip = set(), Commanded(), lambda *_: None
+    with pytest.raises(Tripped):
+        acquisition._act(trips)
+    assert acquisition.doubted == {*names}
