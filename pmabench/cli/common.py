@@ -302,7 +302,7 @@ class Problems(list[str]):
         try:
             yield
         except ValueError as error:
-            self.extend(f"{option}: {line}" for line in str(error).splitlines())
+            self.extend(f"{option}: {line}" for line in str(error).splitlines() or [""])
 
     def refuse(self) -> None:
         """Raise UsageError with every line, where there is one."""

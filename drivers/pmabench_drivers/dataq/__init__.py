@@ -17,7 +17,6 @@ from dataclasses import dataclass, field, replace
 from time import monotonic
 
 from pmabench.base.clock import Clock
-from pmabench.base.errors import DeviceError as DeviceError
 from pmabench.bench.interface import EMULATED, UNPROVEN, DeviceRecord, Identity
 from pmabench_drivers.shared.link import Pace, who
 from pmabench_drivers.shared.options import Reader, option

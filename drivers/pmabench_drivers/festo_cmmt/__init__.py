@@ -31,7 +31,7 @@ from pmabench_drivers.shared.device import refuse_nonsense
 from pmabench_drivers.shared.link import JOIN, Unanswered
 
 if TYPE_CHECKING:
-    from pmabench_drivers.festo_cmmt.link import DriveLink as DriveLink
+    from pmabench_drivers.festo_cmmt.link import DriveLink as DriveLink  # named in a string below
 
 OPEN = 1.9
 ANSWER = 0.1

@@ -13,7 +13,6 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from pmabench.base.clock import Clock, RealClock, VirtualClock
-from pmabench.base.errors import DeviceError as DeviceError
 from pmabench.bench.interface import Block, DeviceRecord, Identity, Load, OutputRecord, Segment
 from pmabench_drivers.mock.options import E_STOP, JOINT, PLATFORM, output_of, read_options
 from pmabench_drivers.shared.device import Driver, refuse_nonsense

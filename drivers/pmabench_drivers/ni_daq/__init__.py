@@ -23,7 +23,6 @@ from pmabench_drivers.ni_daq.connection import Connection
 from pmabench_drivers.ni_daq.options import Input, Options, read_options
 from pmabench_drivers.shared.device import Led
 from pmabench_drivers.shared.link import JOIN, Cycle, Pace, Samples, Still, Unanswered
-from pmabench_drivers.shared.link import opened as opened
 
 FETCH = 0.17
 """Longest time of a fetch [s]."""

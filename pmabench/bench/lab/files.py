@@ -63,7 +63,8 @@ class Sheet:
     def guessed(self, line: str, why: str, *parts: str) -> None:
         """Add a line with a derived value: it, or these parts of it, are to be confirmed."""
         self.add(line, note=f"TO CONFIRM: {why}")
-        self._to_confirm += [".".join([*self._keys, *part]) for part in zip(parts)] or [".".join(self._keys)]
+        places = [(*self._keys, part) for part in parts] or [(*self._keys,)]
+        self._to_confirm += map(".".join, places)
 
     def text(self) -> str:
         """Text of the file, with the list of what is to be confirmed at its end."""
