@@ -16,8 +16,6 @@ test: lint pytest
 # needs little of a core, and has it at once when it wakes; then, one by one, what loads the machine itself. Last, alone, what
 # asserts milliseconds.
 IDLE := nice -n 19 $(if $(shell command -v chrt),chrt --idle 0)
-# Threads of linear algebra cost time with small matrices; the program itself has one, too.
-pytest: export OPENBLAS_NUM_THREADS = 1
 pytest: $(STAMP)
 	@log=$$(mktemp) && trap 'rm -f "$$log"' EXIT; \
 	{ $(BIN)/python -m pytest -q -n 3 --dist loadfile --no-loadscope-reorder -m "realtime and not alone and not singly" \

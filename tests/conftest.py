@@ -23,6 +23,7 @@ settings.load_profile("same")
 
 _STATE = tempfile.TemporaryDirectory(prefix="pmabench-state-")
 os.environ["PMABENCH_STATE"] = _STATE.name
+os.environ.pop("PYTHONUNBUFFERED", None)  # what processes print waits in a buffer, as it does for most users
 
 
 @pytest.fixture(autouse=True)
