@@ -22,7 +22,7 @@ import click
 
 from pmabench.base.errors import Interrupted, UsageError, invalid
 from pmabench.base.system import ordinary
-from pmabench.cli.common import Ui, common, fields
+from pmabench.cli.common import Ui, common, fields, output_lost
 from pmabench.cli.names import RunFolder
 from pmabench.guard.station import root as state_folder
 
@@ -65,8 +65,8 @@ def command(ui: Ui, run: Path, listen: str | None, *, plain: bool, wait: bool, w
             state = watch(folder, plain=plain, color=ui.color, quiet=ui.json or ui.quiet)
         if ui.json or ui.quiet:
             ui.result(_json(state.files.folder, state), lambda: click.echo(last_line(state)))
-    except BrokenPipeError:
-        return 0
+    except BrokenPipeError as error:
+        return output_lost(error)
     return None
 
 
