@@ -9,7 +9,7 @@ from tests.outside.campaign import campaign, table
 from tests.outside.kinds import KINDS
 from tests.reliability.cases import VARIABLE
 
-pytestmark = pytest.mark.realtime
+pytestmark = [pytest.mark.realtime, pytest.mark.alone]  # it asserts within how many seconds a bench is empty
 SIDE_BY_SIDE = 3
 ALL = tuple(dict.fromkeys(kind.name for kind in KINDS))
 ALWAYS = ("restart", "watchdog-off", "set-point", "ignore-all", "echo", "silence", "nan")
