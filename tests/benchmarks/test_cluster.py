@@ -40,7 +40,7 @@ def test_two_workers_give_the_same_bytes(tmp_path, scheduler, monkeypatch):
         {p.relative_to(out): p.read_bytes() for p in out.rglob("*") if p.is_file() and p.name[0] != "."}
         for out in (tmp_path / "here", tmp_path / "there")
     )
-    assert len(here) == 7 * (RUNS - 1) + 3  # analysis, five tables and a trace of each; three tables of all
+    assert len(here) == 7 * (RUNS - 1) + 2  # analysis, five tables and a trace of each; all runs as JSON and as CSV
     assert here == there
 
 
