@@ -18,6 +18,8 @@ from hypothesis import settings
 import pmabench.cli.main  # noqa: F401  (sets the number of BLAS threads before numpy is loaded, as for a user)
 from tests.browser import CHROMIUM, NOT_RUN, Browser
 
+pytest_plugins = ["tests.pauses"]
+
 settings.register_profile("same", derandomize=True, deadline=None, print_blob=True)
 settings.load_profile("same")
 
