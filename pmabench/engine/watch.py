@@ -100,6 +100,8 @@ class _Watched:
         """When and where the value last moved [s, SI], for `following`."""
         self.moves = 0.0
         """Direction in which it moves: 1, -1, or 0."""
+        self.under = self.nears = False
+        """For `following`, at the last sample: whether a pressure was commanded, and whether the value came nearer."""
         self.active = False
         """Whether the limit is exceeded and was reported, with an action that does not end the run."""
         self.heard: float | None = None
@@ -223,6 +225,12 @@ class Watch:
         instant = limit.kind == "frozen"  # its delay is already part of the test
         for index, (moment, value) in enumerate(zip(t.tolist(), samples.tolist(), strict=True)):
             passed, watched.seen = moment - watched.seen, moment
+            if limit.kind == "following" and self._ended_short(watched, moment):
+                action = "stop" if limit.action == "hold" else limit.action  # a hold would be over at once
+                found.append(Trip(replace(limit, action=action), index, moment, watched.mark[1]))
+                if action in ENDS:
+                    return found
+                watched.active = True
             if not outside[index]:
                 watched.since, watched.outside = None, max(0.0, watched.outside - passed)
                 self._over(watched, index, moment, value, found)
@@ -251,7 +259,8 @@ class Watch:
             watched.mark, watched.moves = (moment, value), math.copysign(1.0, way)
         elif moment - watched.mark[0] > FALLS * limit.delay:
             watched.moves = 0.0
-        return watched.moves * (self._asked(limit.channel, moment) - value) > 0
+        watched.nears = watched.moves * (self._asked(limit.channel, moment) - value) > 0
+        return watched.nears
 
     def _not_falling(self, watched: _Watched, t: Array, samples: Array) -> list[Trip]:
         """A vent, if a value above its command does not fall: a pressure where a vented muscle is commanded, or any
@@ -260,8 +269,7 @@ class Watch:
         Nothing is sent during a hold, so a stuck valve or another program's command is not corrected. At rest nobody
         expects pressure.
         """
-        limit = watched.limit
-        most, pressure = limit.high or 0.0, CHANNEL_QUANTITY[limit.channel] == "pressure"
+        limit, most = watched.limit, watched.limit.high or 0.0
         for index in range(len(t)):
             moment, value = float(t[index]), float(samples[index])
             asked = self._asked(limit.channel, moment)
@@ -269,7 +277,7 @@ class Watch:
                 first = watched.last is None
                 watched.every = 0.0 if first else min(watched.every or math.inf, moment - watched.changed)
                 watched.last, watched.changed = value, moment
-            at_rest = pressure and limit.action != "warn" and asked <= self._rest
+            at_rest = limit.action != "warn" and self._at_rest(limit, moment)
             if not value - asked > most or not (at_rest or limit.action == "hold"):
                 watched.high = None
             elif watched.high is None or value < watched.high[1] - FALLS * most:
@@ -277,6 +285,20 @@ class Watch:
             elif moment - watched.high[0] >= max(LEAST, min(limit.delay, 2 * watched.every if at_rest else math.inf)):
                 return [Trip(replace(limit, kind="above", action="vent"), index, moment, value)]
         return []
+
+    def _at_rest(self, limit: TripRecord, t: float) -> bool:
+        """Whether a vented muscle is commanded where a pressure is watched."""
+        return CHANNEL_QUANTITY[limit.channel] == "pressure" and self._asked(limit.channel, t) <= self._rest
+
+    def _ended_short(self, watched: _Watched, moment: float) -> bool:
+        """Whether a vent follows on a pressure that was too far from its command for `LEAST` and came no nearer.
+
+        At zero every gauge follows, also one in another unit: without this, holds shorter than the limit's time would
+        pressurise the muscle again and again.
+        """
+        under, watched.under = watched.under, not self._at_rest(watched.limit, moment)
+        short = watched.since is not None and watched.outside >= LEAST and not watched.nears
+        return under and not watched.under and short and not watched.active
 
     @staticmethod
     def _over(watched: _Watched, index: int, t: float, value: float, found: list[Trip]) -> None:

@@ -148,7 +148,7 @@ def test_what_is_inside_does_not_trip(name, cuts):
     assert look(trip, samples, cuts=cuts, commanded=commanded) == []
 
 
-def regulated(commands, lasts, tau, dead=0.0, aim=lambda asked: asked, block=1):
+def regulated(commands, lasts, tau, dead=0.0, aim=lambda asked: asked, block=1, action="stop"):
     """Trips of `following: 60 kPa for 3 s` at a regulator of first order: lag `tau` and dead time [s].
 
     It goes for `aim` of its command; the first one has long been reached. Blocks of samples at 100 Hz.
@@ -160,13 +160,13 @@ def regulated(commands, lasts, tau, dead=0.0, aim=lambda asked: asked, block=1):
     for index, goal in enumerate(goals):
         pressure[index] = at = at + (goal - at) * -math.expm1(-0.01 / tau)
     made, found = Commanded(), []
-    watch = Watch([limit("following", high=60e3, delay=3.0, action="stop")], [CHANNEL], made, 20e3)
+    watch = Watch([limit("following", high=60e3, delay=3.0, action=action)], [CHANNEL], made, 20e3)
     todo = list(commands)
     for first in range(0, len(t), block):
         while todo and todo[0][0] <= t[first]:
             made.set("pressure", *todo.pop(0))
         found += watch.look(t[first : first + block], {"pressure": pressure[first : first + block]})
-        if found:
+        if found and action != "warn":
             break
     return [round(trip.t, 6) for trip in found]
 
@@ -203,6 +203,31 @@ def test_a_loop_that_commands_faster_than_the_regulator_follows_is_left_alone(pe
     """A relay of +-100 kPa around 300 kPa, and a regulator that lags by 0.4 s: off most of the time, and sound."""
     relay = [(n * period / 2, 4e5 - 2e5 * (n % 2)) for n in range(round(120 / period))]
     assert regulated(relay, 60.0, 0.4, 0.05) == []
+
+
+CYCLES = [(0.0, 0.0), *((2.0 + 4.0 * n + t, value) for n in range(20) for t, value in ((0.0, 4e5), (2.0, 0.0)))]
+"""400 kPa for 2 s, and as long without pressure, as in a warm-up."""
+
+
+@pytest.mark.parametrize("action", ["stop", "vent", "hold"])
+@pytest.mark.parametrize("block", [1, 7])
+def test_a_gauge_in_another_unit_is_found_though_each_hold_is_shorter_than_the_limit(action, block):
+    """In psi, read as kPa: 58 for 400. It is known when the first hold ends, at 4 s, before the next pressure."""
+    found = regulated(CYCLES, 80.0, 0.1, aim=lambda asked: asked / 6.895, block=block, action=action)
+    assert found == [pytest.approx(4.0, abs=0.01 * block + 0.001)]
+
+
+def test_a_warning_at_the_end_of_each_hold_ends_nothing():
+    warnings = regulated(CYCLES, 80.0, 0.1, aim=lambda asked: asked / 6.895, action="warn")
+    assert warnings == [pytest.approx(4.0 + 4.0 * n, abs=0.011) for n in range(19) for _ in ("warns", "is over")]
+
+
+@pytest.mark.parametrize(
+    ("high", "low", "tau", "dead"), [(2.0, 2.0, 0.6, 0.3), (0.25, 0.25, 0.02, 0.1), (0.3, 3.0, 0.02, 0.2)]
+)
+def test_cycles_between_pressure_and_none_are_left_alone(high, low, tau, dead):
+    cycles = [(n * (high + low) + t, value) for n in range(200) for t, value in ((0.0, 0.0), (low, 4e5))]
+    assert regulated(cycles, cycles[-1][0], tau, dead) == []
 
 
 @given(cuts=st.lists(st.integers(0, len(T)), max_size=12), period=st.floats(0.05, 1.0), high=st.floats(1e5, 6e5))
