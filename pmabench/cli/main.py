@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import gc
 import os
 import re
@@ -110,6 +111,7 @@ class Commands(click.Group):
         """Run a command; a full disk or closed pipe behind the output ends it with a sentence."""
         prepare_streams()
         gc.set_threshold(50_000, 20, 50)  # most of a command's objects go by their count; a twentieth of its time
+        atexit.register(gc.freeze)  # nor are cycles sought in what goes with the process
         try:
             return super().main(*args, **kwargs)
         except OSError as error:
