@@ -21,6 +21,8 @@ from pmabench.cli.names import typed_lines
 for _threads in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
     # small matrices: threads cost time, and sums in another order change last digits
     os.environ.setdefault(_threads, "1")
+# Arrow in the memory of the C library: what it frees holds the next arrays, and no new pages are cleared for them
+os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")
 
 SECTIONS = {
     "Start": {
