@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import gc
 import os
 import re
@@ -20,6 +21,8 @@ from pmabench.cli.names import typed_lines
 for _threads in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
     # small matrices: threads cost time, and sums in another order change last digits
     os.environ.setdefault(_threads, "1")
+# Arrow in the memory of the C library: what it frees holds the next arrays, and no new pages are cleared for them
+os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")
 
 SECTIONS = {
     "Start": {
@@ -110,6 +113,7 @@ class Commands(click.Group):
         """Run a command; a full disk or closed pipe behind the output ends it with a sentence."""
         prepare_streams()
         gc.set_threshold(50_000, 20, 50)  # most of a command's objects go by their count; a twentieth of its time
+        atexit.register(gc.freeze)  # nor are cycles sought in what goes with the process
         try:
             return super().main(*args, **kwargs)
         except OSError as error:

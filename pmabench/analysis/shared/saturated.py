@@ -178,8 +178,8 @@ class _Course:
 
 def _course(run: RunData, trial: TrialData, name: str, sign: int, loop: bool) -> _Course:
     """The samples of a channel in a trial, times `sign`, with those of its causes; in a loop time is the cause."""
-    y = trial.channels[name]
-    good = trial.usable & np.isfinite(y)
+    known = trial.usable & np.isfinite(trial.channels[name])
+    good: NDArray[np.bool_] | slice = slice(None) if known.all() else known  # which makes no copies
     sent = f"{name}_command"
     causes: list[tuple[str, ...]]
     if name == "pressure":
@@ -190,15 +190,15 @@ def _course(run: RunData, trial: TrialData, name: str, sign: int, loop: bool) ->
         driven = [one for one in ("displacement", "angle") if one != name]
         pressures = CAUSES if "pressure" in trial.channels else (*CAUSES, "pressure_command")
         causes = [(cause,) for cause in (*pressures, *(driven if name in ("force", "torque") else ()))]
-    known = [alike for alike in causes if all(one in trial.channels for one in alike)]
-    y = sign * y[good]
+    causes = [alike for alike in causes if all(one in trial.channels for one in alike)]
+    y = sign * trial.channels[name][good]
 
     def cause(one: str) -> _Cause:
         z, sent = trial.channels[one][good], trial.channels.get(f"{one}_command")
         ramps = sent is not None and np.count_nonzero(np.diff(sent[good])) >= RAMP
         return _Cause(z, y, sent[good] if sent is not None and ramps else None, lag_of(run, one))
 
-    return _Course(trial.t[good], y, [[cause(one) for one in alike] for alike in known], loop)
+    return _Course(trial.t[good], y, [[cause(one) for one in alike] for alike in causes], loop)
 
 
 def _ceiling(run: RunData, name: str, sign: int, courses: Sequence[_Course]) -> Ceiling | None:
