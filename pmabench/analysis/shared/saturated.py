@@ -179,7 +179,8 @@ class _Course:
 def _course(run: RunData, trial: TrialData, name: str, sign: int, loop: bool) -> _Course:
     """The samples of a channel in a trial, times `sign`, with those of its causes; in a loop time is the cause."""
     y = trial.channels[name]
-    good = trial.usable & np.isfinite(y)
+    usable = trial.usable & np.isfinite(y)
+    good = slice(None) if usable.all() else usable  # without a copy: the courses of all trials are compared
     sent = f"{name}_command"
     causes: list[tuple[str, ...]]
     if name == "pressure":
@@ -191,7 +192,7 @@ def _course(run: RunData, trial: TrialData, name: str, sign: int, loop: bool) ->
         pressures = CAUSES if "pressure" in trial.channels else (*CAUSES, "pressure_command")
         causes = [(cause,) for cause in (*pressures, *(driven if name in ("force", "torque") else ()))]
     known = [alike for alike in causes if all(one in trial.channels for one in alike)]
-    y = sign * y[good]
+    y = y[good] if sign > 0 else -y[good]
 
     def cause(one: str) -> _Cause:
         z, sent = trial.channels[one][good], trial.channels.get(f"{one}_command")

@@ -66,8 +66,8 @@ def order(campaign: Campaign) -> Array:
     return np.asarray(rank / max(1, len(keys) - 1) - 0.5)
 
 
-def course(campaign: Campaign) -> tuple[Array, ...]:
-    """Share of the campaign elapsed, 0 to 1, at each sample of each trial; time between runs does not count.
+def course(campaign: Campaign) -> Callable[[int], Array]:
+    """Share of the campaign elapsed, 0 to 1, at each sample of trial `i`; time between runs does not count.
 
     Where the times of trials overlap, as in files of single trials, the rank from `order` is used instead.
     """
@@ -81,9 +81,9 @@ def course(campaign: Campaign) -> tuple[Array, ...]:
             begun, last = ends - float(t[0]), run
         offsets[i] = begun
         if float(t[0]) + begun < ends - 1e-9:
-            return tuple(np.full(len(s.t), 0.5 + p) for s, p in zip(campaign.samples, place, strict=True))
+            return lambda i: np.full(len(campaign.samples[i].t), 0.5 + place[i])
         ends = float(t[-1]) + begun
-    return tuple((s.t + offset) / ends for s, offset in zip(campaign.samples, offsets, strict=True))
+    return lambda i: np.asarray((campaign.samples[i].t + offsets[i]) / ends)
 
 
 def drift(campaign: Campaign, segments: Segments) -> Array:
@@ -92,7 +92,7 @@ def drift(campaign: Campaign, segments: Segments) -> Array:
     found = np.empty(len(segments))
     for i in np.unique(segments.trial):
         mine = segments.trial == i
-        found[mine] = np.interp(segments.t[mine], campaign.samples[i].t, shares[i])
+        found[mine] = np.interp(segments.t[mine], campaign.samples[i].t, shares(i))
     return found
 
 
@@ -307,7 +307,7 @@ class Followed:
     x: Array
     """Contraction since the start of each trial at time steps of `GRID` [m], shape (steps, trials that lifted + 1)."""
     left: Array
-    """State at the start of each trial that is left from the trials before, shape (radii + times, as the last of `x`)."""
+    """State that is left at each trial's start from those before, shape (radii + times, trials that lifted + 1)."""
     kept: Kept = field(default_factory=Kept)
 
     @classmethod
