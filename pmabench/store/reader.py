@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,7 +25,6 @@ from pmabench.store.livestream import FLAGS, TIME, LiveReader, numbers, pa
 from pmabench.store.notes import read_notes
 from pmabench.store.records import (
     UNUSABLE,
-    Array,
     ChannelInfo,
     ClockInfo,
     Event,
@@ -37,7 +36,7 @@ from pmabench.store.records import (
     exclude,
     is_number,
 )
-from pmabench.store.seal import read_archive
+from pmabench.store.seal import archived
 from pmabench.store.since import late_guard, since
 from pmabench.store.timebase import fit_clock, onto, stamped
 
@@ -122,9 +121,9 @@ def read_stream(path: Path | str, name: str = "", raw: bool = False) -> pd.DataF
     names = folder.stream_names()
     if not names or (name and name not in names):
         raise invalid(path, f'has no stream "{name}"; it has: {", ".join(names) or "none"}')
-    samples = folder.stream(name or names[0], events_of(folder.journal()))
+    samples = folder.stream(name or names[0], events_of(folder.journal()), raw)
     if raw:
-        frame = pd.DataFrame({name: _whole(samples.table.column(name)) for name in samples.table.column_names})
+        frame = pd.DataFrame({TIME: samples.t, **samples.channels, FLAGS: samples.flags})
         frame.attrs["units"] = {TIME: "ns", **samples.raw_units}
     else:
         frame = pd.DataFrame({"t": samples.t, **samples.channels, FLAGS: samples.flags})
@@ -143,11 +142,9 @@ class Samples:
 
     name: str
     rate: float
-    t: Array
-    table: Any
-    """As recorded: `time_ns`, the raw values of the device, `flags`."""
+    t: NDArray[Any]
     raw_units: Mapping[str, str]
-    channels: Mapping[str, Array]
+    channels: Mapping[str, NDArray[Any]]
     infos: Mapping[str, ChannelInfo]
     flags: Flags
     whole: bool
@@ -156,8 +153,7 @@ class Samples:
     @classmethod
     def none(cls, name: str) -> Samples:
         """A stream without channels and samples."""
-        table = pa.schema([(TIME, pa.int64()), (FLAGS, pa.uint16())]).empty_table()
-        return cls(name, 0.0, np.empty(0), table, {}, {}, {}, np.empty(0, np.uint16), False, ClockInfo())
+        return cls(name, 0.0, np.empty(0), {}, {}, {}, np.empty(0, np.uint16), False, ClockInfo())
 
 
 class RunFiles:
@@ -230,26 +226,26 @@ class RunFiles:
             found = [path for path in (self.path / files.STREAMS).glob("*") if is_regular(path)]
         return sorted({file.stem for file in found if file.suffix in (".arrows", ".parquet")})
 
-    def stream(self, name: str, events: tuple[Event, ...]) -> Samples:
-        """A stream in SI; of an unsealed run its complete batches."""
+    def stream(self, name: str, events: tuple[Event, ...], raw: bool = False) -> Samples:
+        """A stream in SI, or with `raw` as recorded, with `t` in ns; of an unsealed run its complete batches."""
         parquet, live = (f"{files.STREAMS}/{name}{suffix}" for suffix in (".parquet", ".arrows"))
         sealed = self.seal is not None
         found = (self.seal or {}).get("streams", {}).get(name, {})
         use_live = self.has(live) and not (sealed and self.has(parquet))
-        raw = pa.py_buffer(self.read(live if use_live else parquet))
+        data = pa.py_buffer(self.read(live if use_live else parquet))
         try:
             if use_live:
-                reader = LiveReader(raw)
-                table, about = pa.Table.from_batches(list(reader), reader.schema), reader.about
-                arrivals, whole = reader.arrivals, not reader.fault
+                reader = LiveReader(data)
+                batches: Iterable[Any] = list(reader)
+                rows, about, arrivals, whole = reader.rows, reader.about, reader.arrivals, not reader.fault
             else:
-                table, about, arrivals = read_archive(pa.BufferReader(raw))
+                batches, rows, about, arrivals = archived(pa.BufferReader(data))
                 whole = sealed and not found.get("fault")
             device = self.manifest.get("devices", {}).get(name, {})
             clock = _clock(name, events, arrivals, own=device.get("clock", "own") == "own")
             changed, lines = self.anew.columns(about, self.path)
             self.lines |= lines
-            return self.anew.moved(_in_si(table, changed, clock, whole))
+            return self.anew.moved(_filled(batches, rows, changed, clock, whole, raw))
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             if use_live and (not sealed or found.get("rows", 0) is None):
                 return Samples.none(name)
@@ -268,39 +264,40 @@ def _clock(name: str, events: tuple[Event, ...], arrivals: list[tuple[int, int]]
     return (fit_clock if own else stamped)(*zip(*arrivals, strict=True)) if arrivals else ClockInfo()
 
 
-def _in_si(table: Any, about: Mapping[str, Any], clock: ClockInfo, whole: bool) -> Samples:
-    """The samples of a table with the time of the run instead of the device's, and in SI."""
+def _filled(
+    batches: Iterable[Any], rows: int, about: Mapping[str, Any], clock: ClockInfo, whole: bool, raw: bool
+) -> Samples:
+    """The samples of batches, one after the other, so that they are in memory only once."""
     rate = float(about.get("rate") or 0.0)
     infos = {column["name"]: channel_info(column, about["stream"], rate) for column in about["columns"]}
-    return Samples(
+    kinds = {column["name"]: column.get("raw_type", "float64") if raw else "float64" for column in about["columns"]}
+    samples = Samples(
         name=str(about["stream"]),
         rate=rate,
-        t=clock.time(_whole(table.column(TIME))),
-        table=table,
+        t=np.empty(rows, np.int64 if raw else np.float64),
         raw_units={column["name"]: str(column.get("raw_unit", "")) for column in about["columns"]},
-        channels={name: _scaled(table.column(name), info) for name, info in infos.items()},
+        channels={name: np.empty(rows, kind) for name, kind in kinds.items()},
         infos=infos,
-        flags=_whole(table.column(FLAGS)),
+        flags=np.empty(rows, np.uint16),
         whole=whole,
         clock=clock,
     )
-
-
-def _whole(column: Any) -> NDArray[Any]:
-    """The values of a column of a table, shape (n,)."""
-    return numbers(column.combine_chunks())
-
-
-def _scaled(column: Any, info: ChannelInfo) -> Array:
-    """The same in SI, chunk by chunk: there is no copy of the raw values."""
-    values, first = np.empty(len(column)), 0
-    with np.errstate(all="ignore"):  # an imported file may have any values
-        for chunk in column.chunks:
-            part = values[first : first + len(chunk)]
-            np.multiply(numbers(chunk), info.slope, out=part)
-            part += info.offset
-            first += len(chunk)
-    return values
+    first = 0
+    for batch in batches:
+        part = slice(first, first := first + batch.num_rows)
+        time_ns, *values, flags = map(numbers, batch.columns)
+        samples.t[part], samples.flags[part] = time_ns if raw else clock.time(time_ns), flags
+        with np.errstate(all="ignore"):  # an imported file may have any values
+            for (name, info), one in zip(infos.items(), values, strict=True):
+                into = samples.channels[name][part]
+                if raw:
+                    into[...] = one
+                else:
+                    np.multiply(one, info.slope, out=into)
+                    into += info.offset
+    if first != rows:
+        raise ValueError(f"has {first} of {rows} rows")
+    return samples
 
 
 def channel_info(column: Mapping[str, Any], stream: str, rate: float) -> ChannelInfo:

@@ -13,7 +13,7 @@ import mmap
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from io import BufferedWriter
@@ -116,10 +116,31 @@ def read_archive(source: Any) -> tuple[Any, dict[str, Any], list[tuple[int, int]
 
     Arrivals: times of device and host [ns] for the last sample of each batch with `host_ns`.
     """
+    with _readable(source) as file:
+        return file.read(use_threads=False), about_stream(file.schema_arrow), _arrivals_of(file)
+
+
+ROWS = 65_536
+"""Rows that are decoded at once: few enough to stay in the fast memory of the processor."""
+
+
+def archived(source: Any) -> tuple[Iterator[Any], int, dict[str, Any], list[tuple[int, int]]]:
+    """As `read_archive`, but batches and the number of their rows: each is decoded when it is asked for."""
+
+    def batches() -> Iterator[Any]:
+        with _readable(source) as file:
+            yield from file.iter_batches(ROWS, use_threads=False)
+
+    with _readable(source) as file:
+        return batches(), file.metadata.num_rows, about_stream(file.schema_arrow), _arrivals_of(file)
+
+
+@contextmanager
+def _readable(source: Any) -> Iterator[Any]:
+    """A Parquet stream, opened; ValueError where it is damaged."""
     try:
         with pq.ParquetFile(source, page_checksum_verification=True) as file:
-            about = about_stream(file.schema_arrow)
-            return file.read(use_threads=False), about, _arrivals_of(file)
+            yield file
     except DAMAGED as error:
         raise ValueError(f"cannot be read as Parquet ({str(error).splitlines()[0]})") from error
 

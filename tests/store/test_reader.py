@@ -1,6 +1,7 @@
 """A run comes back as what was commanded, measured and found, in SI on one time base."""
 
 import numpy as np
+import pyarrow as pa
 import pytest
 
 from pmabench.base.errors import InvalidFile
@@ -42,6 +43,23 @@ def test_channels_carry_scale_range_and_calibration(run):
     assert (pressure.calibration, pressure.offset_uncertainty, pressure.gain_uncertainty) == ("P-0231", 1500.0, 0.001)
     assert pressure.sensor_lag == 0.002
     assert run.channels["displacement"].unit == "m"
+
+
+def test_samples_as_recorded_are_in_memory_a_part_at_a_time(tmp_path):
+    rows = 400_000
+    folder, before = closed(tmp_path, rows=rows), pa.default_memory_pool()
+    pool = pa.proxy_memory_pool(before)
+    pa.set_memory_pool(pool)
+    try:
+        run = open_run(folder)
+    finally:
+        pa.set_memory_pool(before)
+    time_ns, raw, flags = block(0, rows)
+    recorded = sum(column.nbytes for column in (time_ns, *raw.values(), flags))
+    assert 0 < pool.max_memory() < 0.6 * recorded
+    for name, slope, offset in (("pressure", 0.25, -500.0), ("force", 200.0, 3.0)):
+        read = np.concatenate([trial.channels[name] for trial in run.trials])
+        assert np.array_equal(read, raw[name] * slope + offset), "no sample is lost where two parts meet"
 
 
 def test_trials_hold_their_samples_in_si(run):

@@ -25,6 +25,8 @@ GOLDEN = (1 + sqrt(5)) / 2
 """Multiples of this, modulo 1, fill the interval between two steps evenly."""
 BLOCK = 128
 """Samples that are prepared at once: few enough to stay in the fast memory of the processor."""
+TOGETHER = 16
+"""Columns that are filled at once: each line of the processor's memory is then written a few times, not eight."""
 LEAST = 1.0
 """Lower limit of stiffness [N/m] and damping [N.s/m] in a simulation."""
 SURE = 1e30
@@ -73,14 +75,15 @@ def run(
     more
         Force [N] in addition to F_ce - K x, from contraction [m] and pressure [Pa], shape (m,).
     """
-    found = fit.coefficients(P)
-    np.maximum(found[1:], LEAST, out=found[1:])
     h = dt / substeps
-    all_x, all_v = np.empty(P.shape), np.zeros(P.shape)
+    all_x, all_v, force = np.empty(P.shape), np.zeros(P.shape), np.empty(P.shape)
 
     def steps(first: int) -> Iterator[tuple[tuple[Array, ...], ...]]:
         """From each of `BLOCK` samples to the next the steps in between."""
-        begins = [values[first : first + BLOCK + 1] for values in (*found, P)]
+        rows = slice(first, first + BLOCK + 1)
+        F, *others = fit.coefficients(P[rows])
+        np.minimum(F, load, out=force[rows])
+        begins = [F, *(np.maximum(values, LEAST, out=values) for values in others), P[rows]]
         changes = [np.diff(values, axis=0) for values in begins]
         return zip(*(at_middles(part, zip(begins, changes, strict=True)) for part in range(substeps)), strict=True)
 
@@ -99,7 +102,7 @@ def run(
     x, drive, F_c, all_x[0] = x.copy(), np.empty(P.shape[1]), np.full(P.shape[1], max(0.0, fit.coulomb)), x
     none, sure, opposite = np.zeros(v.shape), np.full(v.shape, SURE), -F_c
     multiply, subtract, at_least = np.multiply, np.subtract, np.maximum
-    for i, parts in enumerate(chain.from_iterable(map(steps, range(0, len(P) - 1, BLOCK))), 1):
+    for i, parts in enumerate(chain.from_iterable(map(steps, range(0, max(1, len(P) - 1), BLOCK))), 1):
         for F, k, at, slowed, gained, by_speed, by_force in parts:
             subtract(F, multiply(k, x, drive), drive)
             if more is not None:
@@ -119,8 +122,9 @@ def run(
             np.minimum(down, multiply(x, sure[0], drive), out=down)
         all_x[i] = x
         subtract(up, down, all_v[i])
-    force = load + mass * np.gradient(all_v, dt, axis=0)
-    return Replayed(all_x, np.where(all_x > 0, force, np.minimum(found[0], load)))
+    gained = np.gradient(all_v, dt, axis=0)
+    np.add(load, np.multiply(mass, gained, out=gained), out=force, where=all_x > 0)
+    return Replayed(all_x, force)
 
 
 @dataclass(frozen=True)
@@ -137,10 +141,14 @@ class Stretches:
 
 def as_columns(courses: Sequence[Array]) -> Array:
     """Arrays of different length as columns, shape (n, m); shorter ones are extended by their last value."""
-    rows = np.empty((len(courses), max(map(len, courses))))
-    for row, one in zip(rows, courses, strict=True):
-        row[: len(one)], row[len(one) :] = one, one[-1]
-    return np.ascontiguousarray(rows.T)
+    columns = np.empty((max(map(len, courses)), len(courses)))
+    for first in range(0, len(courses), TOGETHER):
+        some = courses[first : first + TOGETHER]
+        rows = np.empty((len(some), len(columns)))
+        for row, one in zip(rows, some, strict=True):
+            row[: len(one)], row[len(one) :] = one, one[-1]
+        columns[:, first : first + TOGETHER] = rows.T
+    return columns
 
 
 def stretches(pieces: Sequence[tuple[Samples, slice]], dt: float, rest: int) -> Stretches:

@@ -217,11 +217,14 @@ def _identified(pooled: Pooled) -> tuple[Array, Array]:
 
 def _thinned(P: Array, every: int) -> Array:
     """One of `every` rows, as the mean of the rows around it."""
-    sums = np.zeros((len(P) + 1, P.shape[1]))
-    np.cumsum(P, axis=0, out=sums[1:])
     rows = np.arange(0, len(P), every)
     first, last = np.maximum(0, rows - every // 2), np.minimum(len(P), rows + every // 2 + 1)
-    return np.asarray((sums[last] - sums[first]) / (last - first)[:, None])
+    found = np.empty((len(rows), P.shape[1]))
+    for begin in range(0, P.shape[1], simulated.TOGETHER):
+        some = slice(begin, begin + simulated.TOGETHER)
+        sums = np.cumsum(np.vstack((np.zeros_like(P[:1, some]), P[:, some])), axis=0)
+        found[:, some] = (sums[last] - sums[first]) / (last - first)[:, None]
+    return found
 
 
 FEWEST = 3

@@ -94,13 +94,14 @@ def readings(campaign: Campaign) -> Readings:
     if not campaign.cell:
         return Readings(np.empty(0), np.empty(0), np.empty(0))
     loads = np.array([samples.load for samples in campaign.samples])
-    shares, rest, held, lower = course(campaign), *(_means(campaign, where) for where in ("rest", "plateau", "lower"))
+    rest, held, lower = (_means(campaign, where) for where in ("rest", "plateau", "lower"))
     friction = _of_guide(held, lower, loads)
     held = held if friction is None else held - friction
     if not np.nanmedian(np.abs([*rest, inf])) < LYING * np.median(loads):
         rest[:] = np.nan  # the load hangs before the trial, too: a second reading of the same
     read = np.concatenate((rest, held))
-    ends = np.concatenate([[share[0] for share in shares], [share[len(share) // 2] for share in shares]])
+    shares = map(course(campaign), range(len(loads)))
+    ends = np.array([(share[0], share[len(share) // 2]) for share in shares]).T.ravel()
     known = np.isfinite(read)
     typical = None if friction is None else float(np.median(friction))
     return Readings(ends[known], np.concatenate((0 * loads, loads))[known], read[known], typical)

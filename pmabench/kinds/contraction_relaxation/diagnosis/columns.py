@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales
+from pmabench.analysis.shared.simulated import BLOCK
 from pmabench.kinds.contraction_relaxation.intervals import zero_drifts
 from pmabench.kinds.contraction_relaxation.pooled import Fit, force_by_pressure
 from pmabench.kinds.contraction_relaxation.segments import Campaign, Gate, Kept, Segments
@@ -65,8 +66,8 @@ def order(campaign: Campaign) -> Array:
     return np.asarray(rank / max(1, len(keys) - 1) - 0.5)
 
 
-def course(campaign: Campaign) -> tuple[Array, ...]:
-    """Share of the campaign elapsed, 0 to 1, at each sample of each trial; time between runs does not count.
+def course(campaign: Campaign) -> Callable[[int], Array]:
+    """Share of the campaign elapsed, 0 to 1, at each sample of trial `i`; time between runs does not count.
 
     Where the times of trials overlap, as in files of single trials, the rank from `order` is used instead.
     """
@@ -80,9 +81,9 @@ def course(campaign: Campaign) -> tuple[Array, ...]:
             begun, last = ends - float(t[0]), run
         offsets[i] = begun
         if float(t[0]) + begun < ends - 1e-9:
-            return tuple(np.full(len(s.t), 0.5 + p) for s, p in zip(campaign.samples, place, strict=True))
+            return lambda i: np.full(len(campaign.samples[i].t), 0.5 + place[i])
         ends = float(t[-1]) + begun
-    return tuple((s.t + offset) / ends for s, offset in zip(campaign.samples, offsets, strict=True))
+    return lambda i: np.asarray((campaign.samples[i].t + offsets[i]) / ends)
 
 
 def drift(campaign: Campaign, segments: Segments) -> Array:
@@ -91,7 +92,7 @@ def drift(campaign: Campaign, segments: Segments) -> Array:
     found = np.empty(len(segments))
     for i in np.unique(segments.trial):
         mine = segments.trial == i
-        found[mine] = np.interp(segments.t[mine], campaign.samples[i].t, shares[i])
+        found[mine] = np.interp(segments.t[mine], campaign.samples[i].t, shares(i))
     return found
 
 
@@ -302,11 +303,11 @@ class Followed:
     begins: Array
     """Start times of the trials [s], shape (trials,)."""
     column: NDArray[np.intp]
-    """Index of each trial on the last axis of `sums`, shape (trials,); trials that did not lift share the last one."""
-    sums: Array
-    """Running sums over time steps of `GRID` of the friction elements' states, -1 to 1, and the lagged contractions
-    [m]; shape (steps, radii + times, trials that lifted + 1).
-    """
+    """Index of each trial on the last axis of `x`, shape (trials,); trials that did not lift share the last one."""
+    x: Array
+    """Contraction since the start of each trial at time steps of `GRID` [m], shape (steps, trials that lifted + 1)."""
+    left: Array
+    """State that is left at each trial's start from those before, shape (radii + times, trials that lifted + 1)."""
     kept: Kept = field(default_factory=Kept)
 
     @classmethod
@@ -324,24 +325,7 @@ class Followed:
         for place, samples in enumerate(campaign.samples[i] for i in lifted):
             x[:, place] = np.interp(grid, samples.t[samples.ok] - samples.t[0], samples.x[samples.ok])
         x -= x[0]
-        parts, keep = len(RADII), np.exp(-GRID / np.array(TIMES))[:, None]
-        now = 1 - (1 - keep) * np.array(TIMES)[:, None] / GRID  # exact for a piecewise linear contraction
-        sums = np.empty((len(grid), parts + len(TIMES), x.shape[1]))
-        np.divide(np.diff(x, axis=0, prepend=x[:1])[:, None, :], np.array(RADII)[:, None], out=sums[:, :parts])
-        np.multiply(x[:, None, :], now, out=sums[:, parts:])
-        for place, before in enumerate((1 - keep - now)[:, 0].tolist(), parts):
-            sums[1:, place] += before * x[:-1]  # one by one: together it would need two thirds more memory than `sums`
-        state = _left(campaign, column, sums, keep)
-        total = np.zeros_like(state)
-        stops, slow = state[:parts], state[parts:]
-        above, below, decay = np.ones(stops.shape), -np.ones(stops.shape), np.tile(keep, slow.shape[1])
-        for row in sums:
-            slow *= decay
-            state += row
-            np.minimum(np.maximum(stops, below, out=stops), above, out=stops)
-            total += state
-            row[...] = total
-        return cls(begins, column, sums)
+        return cls(begins, column, x, _left(campaign, column, x))
 
     def stops(self, segments: Segments) -> Array:
         """Mean over each segment of the friction elements' states, shape (n, radii)."""
@@ -355,38 +339,75 @@ class Followed:
         def means() -> Array:
             length = segments.v.shape[1] * segments.dt
             row = (segments.t - self.begins[segments.trial] - 0.5 * GRID) / GRID
-            trial = self.column[segments.trial]
-            return np.asarray((self._at(row + length / GRID, trial) - self._at(row, trial)) * GRID / length)
+            begin, end = self._sums(np.array((row, row + length / GRID)), self.column[segments.trial])
+            return np.asarray((end - begin) * GRID / length)
 
         return np.asarray(self.kept.of("means", (segments.t, segments.trial), means))
 
-    def _at(self, row: Array, trial: NDArray[np.intp]) -> Array:
-        """Running sums at fractional time steps `row`, shape (n, k)."""
-        left = np.clip(row.astype(np.intp), 0, len(self.sums) - 2)
-        share = np.clip(row - left, 0.0, 1.0)[:, None]
-        return np.asarray((1 - share) * self.sums[left, :, trial] + share * self.sums[left + 1, :, trial])
+    def _sums(self, row: Array, trial: NDArray[np.intp]) -> Array:
+        """Running sums over time steps of the friction elements' states, -1 to 1, and the lagged contractions [m], at
+        fractional time steps `row` (2, n); shape (2, n, radii + times).
+
+        A block of steps at a time: only those asked for are kept, since all would be the largest array of a reduction.
+        """
+        left = np.clip(row.astype(np.intp), 0, len(self.x) - 2)
+        share = np.clip(row - left, 0.0, 1.0)[..., None]
+        wanted, trials = np.array((left, left + 1)).ravel(), np.tile(trial, 2 * len(row))
+        order = np.argsort(wanted, kind="stable")
+        found = np.empty((len(wanted), len(self.left)))
+        state, total, parts = self.left.copy(), np.zeros_like(self.left), len(RADII)
+        stops, slow = state[:parts], state[parts:]
+        above, below, decay = np.ones(stops.shape), -np.ones(stops.shape), np.tile(KEEP, slow.shape[1])
+        for first in range(0, len(self.x), BLOCK):
+            sums = _inputs(self.x, first, first + BLOCK)
+            for input in sums:
+                slow *= decay
+                state += input
+                np.minimum(np.maximum(stops, below, out=stops), above, out=stops)
+                total += state
+                input[...] = total
+            here = order[slice(*np.searchsorted(wanted[order], (first, first + BLOCK)))]
+            found[here] = sums[wanted[here] - first, :, trials[here]]
+        before, after = found.reshape(2, *row.shape, -1)
+        return np.asarray((1 - share) * before + share * after)
 
 
-def _left(campaign: Campaign, column: NDArray[np.intp], steps: Array, keep: Array) -> Array:
-    """State at the start of each trial that is left from the trial before, shape (radii + times, trials).
+KEEP = np.exp(-GRID / np.array(TIMES))[:, None]
+"""Decay of each lag in a time step."""
+NOW = 1 - (1 - KEEP) * np.array(TIMES)[:, None] / GRID
+"""Share of a lag's input that counts in the same time step: exact for a piecewise linear contraction."""
 
-    `column` as in `Followed`; `steps` (rows, radii + times, trials): input of each time step; `keep` (times, 1): decay
-    of the lags per time step.
+
+def _inputs(x: Array, first: int, last: int) -> Array:
+    """Input of friction elements and lags at time steps from `first` up to `last`, from contractions `x` (steps, k);
+    shape (steps, radii + times, k).
     """
+    at, parts = x[first:last], len(RADII)
+    before = x[np.maximum(np.arange(first - 1, first - 1 + len(at)), 0)]
+    inputs = np.empty((len(at), parts + len(TIMES), x.shape[1]))
+    np.divide((at - before)[:, None, :], np.array(RADII)[:, None], out=inputs[:, :parts])
+    np.multiply(at[:, None, :], NOW, out=inputs[:, parts:])
+    inputs[:, parts:] += (1 - KEEP - NOW) * before[:, None, :]
+    return inputs
+
+
+def _left(campaign: Campaign, column: NDArray[np.intp], x: Array) -> Array:
+    """`Followed.left` from its `column` and `x`."""
     parts, times = len(RADII), np.array(TIMES)
-    left, stops = np.zeros(steps.shape[1:]), np.zeros((parts, steps.shape[2]))
-    for row in steps[:, :parts]:
-        stops += row
-        np.minimum(np.maximum(stops, -1.0, out=stops), 1.0, out=stops)
-    weights = keep ** np.arange(len(steps) - 1, -1, -1)
-    lifted = [(n, i) for n, i in enumerate(np.argsort(order(campaign)).tolist()) if column[i] < steps.shape[2] - 1]
+    left, stops = np.zeros((parts + len(times), x.shape[1])), np.zeros((parts, x.shape[1]))
+    for first in range(0, len(x), BLOCK):
+        for row in _inputs(x, first, first + BLOCK)[:, :parts]:
+            stops += row
+            np.minimum(np.maximum(stops, -1.0, out=stops), 1.0, out=stops)
+    weights = KEEP ** np.arange(len(x) - 1, -1, -1)
+    lifted = [(n, i) for n, i in enumerate(np.argsort(order(campaign)).tolist()) if column[i] < x.shape[1] - 1]
     for (n, i), (m, after) in pairwise(lifted):
         pause = _pause(campaign, i, after)
         if np.isfinite(pause):
             own, to = column[i], column[after]
-            rows = min(len(steps) - 1, round(float(np.ptp(campaign.samples[i].t)) / GRID)) + 1
-            moved = np.einsum("kn,nk->k", weights[:, -rows:], steps[:rows, parts:, own])
-            kept = moved + left[parts:, own] * keep[:, 0] ** rows
+            rows = min(len(x) - 1, round(float(np.ptp(campaign.samples[i].t)) / GRID)) + 1
+            moved = np.einsum("kn,nk->k", weights[:, -rows:], _inputs(x[:, own : own + 1], 0, rows)[:, parts:, 0])
+            kept = moved + left[parts:, own] * KEEP[:, 0] ** rows
             left[parts:, to] = kept * np.exp((GRID - pause) / times)  # the first time step subtracts one GRID
             if m == n + 1:  # a trial in between that did not lift strains the braid by an unknown amount
                 left[:parts, to] = stops[:, own]

@@ -102,14 +102,14 @@ def in_samples(campaign: Campaign, explanations: Sequence[Explanation]) -> Campa
     if not faults:
         return campaign
     place, clock = columns.order(campaign), columns.clock(campaign)
-    course = columns.course(campaign) if any(one.kind == "drift" for one in faults) else ()
+    course = columns.course(campaign)
     samples = []
     for i, each in enumerate(campaign.samples):
         for one in faults:
             size = one.sizes[0]
             if one.kind == "drift" and each.force is not None:
                 ends = np.linspace(0.0, 1.0, len(one.sizes) + 1)
-                each = replace(each, force=each.force - np.interp(course[i], ends, (0.0, *one.sizes)))
+                each = replace(each, force=each.force - np.interp(course(i), ends, (0.0, *one.sizes)))
             elif one.kind == "gain" and each.force is not None:
                 each = replace(each, force=each.force / (1 + size))
             elif one.kind == "slip" and place[i] >= place[int(one.which)]:
