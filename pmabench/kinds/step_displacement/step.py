@@ -73,7 +73,9 @@ class Relaxation:
     sampled: float
     """Change of the force in the sample interval before its peak [N], by which the actual peak may exceed it."""
     pressure_peak: float
-    """Largest difference of the pressure from that before; nan where it is not recorded."""
+    """Largest difference of the pressure from the rest before; nan where it is not recorded."""
+    pressure_after: float
+    """The same from the rest after."""
     pressure_noise: float
     """Noise of the pressure [Pa], which gives the largest deviation if the pressure is constant."""
     force_back: Recovery | None
@@ -196,8 +198,8 @@ def _one(
     if still.sum() < 2 * FEWEST:
         raise NotUsable("the displacement comes to rest too late")
     on_way = t[still] - t[still][0]
+    most, from_after = (_farthest(P[moving] - float(P[rows].mean())) for rows in (before, after))
     off = P[moving] - float(P[before].mean())
-    most = float(off[np.argmax(np.abs(off))])
     back = recovery(on_way, F[still])
     peaks = {"force": way * away} | ({"pressure": np.sign(most) * off} if known else {})
     lags, over = lags_of(run, trial), float(t[still][0])
@@ -213,7 +215,8 @@ def _one(
         blunted={},
         unseen={name: _unseen(t[moving], y, ramp.t, over) for name, y in peaks.items()},
         sampled=abs(float(away[place] - away[max(0, place - 1)])),
-        pressure_peak=most if known else float("nan"),
+        pressure_peak=most,
+        pressure_after=from_after,
         pressure_noise=noise_of(P[moving]) if known else 0.0,
         force_back=back,
         pressure_back=recovery(on_way, P[still]) if known else None,
@@ -226,6 +229,11 @@ def _one(
         missed={},
     )
     return replace(one, blunted={name: _blunted(t[moving], y, one.constant(name)) for name, y in peaks.items()})
+
+
+def _farthest(off: Array) -> float:
+    """The value (n,) that is farthest from 0; nan if one is."""
+    return float(off[np.argmax(np.abs(off))])
 
 
 def _after(t: Array, y: Array, over: float, lag: float) -> float:
