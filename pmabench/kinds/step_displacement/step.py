@@ -180,13 +180,12 @@ def _one(
     rest = good & (t > arrived + 1e-9) & (t < end)
     if min(before.sum(), after.sum()) < 3 or rest.sum() < 2 * FEWEST:
         raise NotUsable("fewer than 3 samples at the end of a rest")
-    x, F, P = values["displacement"], values["force"], values["pressure"]
+    x, F, P = (values[name] for name in ("displacement", "force", "pressure"))
     level, relaxed = float(F[before].mean()), float(F[after].mean())
     moved = float(x[after].mean() - x[before].mean())
     if abs(moved) <= 6 * noise_of(x[rest]) or moved == 0:
         raise NotUsable("the displacement does not move above its noise")
-    away = F[moving] - level
-    way = -np.sign(moved)
+    away, way = F[moving] - level, -np.sign(moved)
     place = int(np.argmax(way * away))
     new = good & samples.fresh(trial.channels["force"])  # noise of a held value would look like a motion
     early = new & (t >= 0.5 * (begin + ramp.t)) & (t < ramp.t - 1e-9)
