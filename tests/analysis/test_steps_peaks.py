@@ -139,3 +139,17 @@ def test_a_regulator_that_rests_elsewhere_after_the_step_is_no_filter():
         pressure = PRESSURE - 4e3 * lfilter([0.02], [1, -0.98], moved) + 100.0 * chance.standard_normal(len(moved))
         trials.append(replace(one, channels={**one.channels, "pressure": pressure}))
     assert all(not e.withheld for e, _ in peaks(trials) if e.symbol == "P_err")
+
+
+@pytest.mark.parametrize("rest", [-8e3, -4e3, -1e3, 1e3, 4e3, 8e3])
+def test_a_swing_of_the_pressure_between_two_rests_is_held(rest):
+    """The regulator rests elsewhere with the contraction: what the step makes was up to 21 half widths off."""
+    trials = []
+    for one in cell():
+        moved = (one.channels["displacement"] - START) / STEP
+        trials.append(replace(one, channels={**one.channels, "pressure": one.channels["pressure"] + rest * moved}))
+    found = [(e, truth) for e, truth in peaks(trials) if e.symbol == "P_err"]
+    assert len(found) == 2
+    for e, truth in found:
+        assert holds(e, truth), (e.value, truth, e.parts.combined)
+        assert "at rest before the step, or after it" in e.note

@@ -295,6 +295,8 @@ SCALE, PLACE = 2e-3, 2e-4
 """Changes of scale [1] and place [m] of the displacement, compared with the command, that are no change of a sensor."""
 FAR, AWAY = 0.01, 1e-3
 """Constant differences of scale [1] and place [m] that are not reported."""
+SURELY = 3.0
+"""Declared uncertainties of the zero above which a constant difference of place is reported, in place of `AWAY`."""
 MORE = 1.2
 """Factor on a constant difference: at the end of a curve a value changes by less than elsewhere."""
 OTHER = 0.3
@@ -365,11 +367,11 @@ def followed(run: RunData) -> Change | None:
     if not every:
         return None
     info, first = run.channels.get(MOVED), every[0]
-    gain, offset = (0.0, 0.0) if info is None else (info.gain_uncertainty, info.offset_uncertainty)
+    gain, zero = (0.0, 0.0) if info is None else (info.gain_uncertainty, info.offset_uncertainty)
     travelled = [one for one in every if isfinite(one.scale)]
     steady = travelled[0] if travelled else replace(first, scale=1 + _slope(every))
     most = max(SCALE, gain, CLEAR * _usual([one.scale for one in travelled]))
-    far = max(PLACE, offset, CLEAR * _usual([one.place for one in every]))
+    far = max(PLACE, zero, CLEAR * _usual([one.place for one in every]))
 
     def before(sent: Any) -> Any:
         """Displacement minus command at the beginning of the run, where the drive is sent to [m]."""
@@ -381,7 +383,7 @@ def followed(run: RunData) -> Change | None:
         one for one, by in zip(every, moved, strict=True) if abs(by) > far + most * abs(one.centre - first.centre)
     ]
     if not changed and not slipped:
-        return _constant(run, every, gain, steady)
+        return _constant(run, every, gain, zero, steady)
     whole = CLEAR * float(np.median([one.rest for one in every]))
     size = [
         (one.rest <= whole, abs(by) + (abs(one.scale - steady.scale) * one.reach if one in changed else 0.0))
@@ -422,21 +424,21 @@ def _since(t: Array, off: Array, size: Array) -> float:
     return float(t[int(np.argmax(gained))])
 
 
-def _constant(run: RunData, every: Sequence[Followed], gain: float, steady: Followed) -> Change | None:
-    """The change that brings a displacement that is off in all trials alike to its command; of size 0 if only its place
-    is off. Either may be right, and intervals hold both.
+def _constant(run: RunData, every: Sequence[Followed], gain: float, offset: float, steady: Followed) -> Change | None:
+    """The change that brings a displacement that is off in all trials alike to its command: either may be right, and
+    intervals hold both.
 
     The zero of an imported command is not known; where its sign is another one, nothing is.
     """
     scales = [one.scale for one in every if isfinite(one.scale) and one.open < FAR] or [steady.scale]
     scale, place = float(np.median(scales)) - 1, float(np.median([one.place for one in every]))
-    own = not import_of(run)
+    own, away = not import_of(run), max(PLACE, SURELY * offset) if offset else AWAY
     said = [f"{scale:+.1%} of the way that the drive was sent"] if abs(scale) > max(FAR, gain) else []
     by = 1 / (1 + MORE * scale) - 1 if said else 0.0
-    said += [f"{show(place, 'length', 2)} off the place where it was sent"] if own and abs(place) > AWAY else []
+    said += [f"{show(place, 'length', 2)} off the place where it was sent"] if own and abs(place) > away else []
     if not said:
         return None
     text = f"{run.id}: the displacement reads {' and '.join(said)}: sensor or drive is wrong"
-    text += ". Intervals hold either. Compare the sensor with another one" if by else ""
-    offset = -steady.place if own and by else 0.0
-    return Change(MOVED, by, offset, steady.centre, text, "displacement against command", inf, throughout=True)
+    text += ". Intervals hold either. Compare the sensor with another one"
+    moved = -steady.place if own and by else -place if own and abs(place) > away else 0.0
+    return Change(MOVED, by, moved, steady.centre, text, "displacement against command", inf, throughout=True)

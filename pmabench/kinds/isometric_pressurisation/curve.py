@@ -19,7 +19,7 @@ from pmabench.analysis.shared.isometric_lines import METHOD, Line, Mask, Pooled,
 from pmabench.analysis.shared.samples import SEEN, ends, noise_of, onset
 from pmabench.analysis.shared.trials import thinned
 from pmabench.base.quantities import show
-from pmabench.store.analyses.results import Estimate, Finding, Parts, Trace
+from pmabench.store.analyses.results import Estimate, Finding, Parts, Trace, withhold
 from pmabench.store.records import Array, RunData, TrialData
 
 PHASES = ("fill", "empty")
@@ -250,6 +250,14 @@ STEPS = 2.0
 """Deviation of the pressure from that line, in its noise, from which on it changes, or is read, in steps."""
 TIMES = 3.0
 """Factor of an alternative threshold: noise hides the onset, and the delay by that grows with the threshold."""
+SOONER = 0.5
+"""Share of the zero of its upper part below which a force begins too soon."""
+TOP = 0.75
+"""Share of the highest pressure from which on the force's tangent is taken where it has no straight part."""
+FROM_REST = (
+    "the force rises from the vented pressure on, and its upper part begins at {} only: the cell may read the "
+    "pressure, or the muscle pulls softly at first. Pressurise without a muscle on the cell, and take that off"
+)
 OF_ONSET = (
     "method: half the difference of filling and emptying, with half a sample, or of the two sides; and what a "
     "threshold three times as large makes of it"
@@ -305,8 +313,8 @@ def _at(t: Array, P: Array, moment: float | None) -> Begin | None:
 def begin_estimates(cell: Cell, scales: Scales) -> list[Estimate]:
     """The pressure at which the force begins [Pa], by its onset and by extrapolation of the straight part."""
     late = cell.rate * skew.apart([test.run for test in cell.tests], ("pressure", "force"))
-    found = [_by_onset(cell, scales, late), _by_line(cell, scales, late)]
-    return [one for one in found if one is not None]
+    begun = _by_onset(cell, scales, late)
+    return [one for one in (begun, _by_line(cell, scales, late, begun)) if one is not None]
 
 
 def _estimate(cell: Cell, value: float, method: str, parts: Parts, n: int, how: str) -> Estimate:
@@ -339,10 +347,27 @@ def _by_onset(cell: Cell, scales: Scales, late: float) -> Estimate | None:
     half = sqrt(half**2 + (float(later.mean()) if len(later) else 0.0) ** 2 + step**2)
     parts = Parts(spread(values), half, scales.part({"pressure": value}, {"pressure": 1.0}), late)
     how = f"{OF_ONSET}; and half of the step that the pressure goes in there" if step else OF_ONSET
-    return _estimate(cell, value, THRESHOLD, parts, len(values), how)
+    e = _estimate(cell, value, THRESHOLD, parts, len(values), how)
+    return withhold(e, FROM_REST.format(show(_zero(cell), "pressure", 3))) if _rises_from_rest(cell, e) else e
 
 
-def _by_line(cell: Cell, scales: Scales, late: float) -> Estimate | None:
+def _zero(cell: Cell) -> float:
+    """Pressure at which the upper part of the force is 0 when extrapolated [Pa]; nan if it does not rise."""
+    if cell.pooled is not None:
+        m, c = cell.pooled.line.m, cell.pooled.line.c
+    else:
+        upper = np.isfinite(cell.mean.force) & (cell.mean.P >= TOP * cell.mean.P[-1])
+        m, c = np.polyfit(cell.mean.P[upper], cell.mean.force[upper], 1) if upper.sum() > 2 else (0.0, 0.0)
+    return float(-c / m) if m > 0 else float("nan")
+
+
+def _rises_from_rest(cell: Cell, begun: Estimate) -> bool:
+    """Whether the force begins at the lowest pressure, far below the zero of its upper part."""
+    value, half = begun.value or 0.0, begun.parts.combined or 0.0
+    return value - half <= float(cell.mean.P[0]) and value < SOONER * _zero(cell)
+
+
+def _by_line(cell: Cell, scales: Scales, late: float, begun: Estimate | None) -> Estimate | None:
     """By the line through the straight part, at zero force."""
     if cell.pooled is None or cell.pooled.line.m <= 0 or cell.low is None:
         return None
@@ -352,8 +377,12 @@ def _by_line(cell: Cell, scales: Scales, late: float) -> Estimate | None:
         return None
     each = [-c / m for m, c in cell.pooled.repeats if m > 0]
     scale = scales.part({"pressure": value}, {"pressure": 1.0, "force": 1 / line.m})
-    parts = Parts(spread(each), BEYOND * abs(value - _bent_zero(cell, value)), scale, late)
-    return _estimate(cell, value, METHOD, parts, len(each), "the line at force 0")
+    half = BEYOND * abs(value - _bent_zero(cell, value))
+    how = "the line at force 0"
+    if begun is not None and begun.withheld and np.isfinite(off := cell.force_at(value)).any():
+        read = abs(float(np.nanmean(off)))  # a share of the pressure is in the slope, too
+        half, how = half + read / max(line.m - read / value, 0.5 * line.m), f"{how}, and the force that is read there"
+    return _estimate(cell, value, METHOD, Parts(spread(each), half, scale, late), len(each), how)
 
 
 def _bent_zero(cell: Cell, value: float) -> float:

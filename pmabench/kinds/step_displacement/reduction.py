@@ -64,6 +64,7 @@ UNTURNED = 0.05
 RUBS = "friction between the two rests is in it"
 AT_LEAST = f"{RUBS}, as twice its size over the step: it is at least K"
 RUBBED = "friction between the rests"
+EITHER_REST = "counted from the pressure at rest before the step, or after it"
 LIKELY = 2.0
 """Upper bound of dF/dP, as a multiple of that of a force proportional to the pressure at the rest length."""
 CERTAIN = 5.0
@@ -198,9 +199,12 @@ class Way:
         doubts = [*(replace(one, most=share * one.most) for one in hidden), self.of_steps(0.0, 1.0)]
         yield self.estimate("F", ("N", "force"), PEAK, forces, {"force": 1}, extreme, "peak", doubts)
         if all(np.isfinite(one.pressure_peak) for one in every):
-            errors, doubts = [one.pressure_peak for one in every], _hidden(every, "pressure")
+            errors, others = [one.pressure_peak for one in every], [one.pressure_after for one in every]
+            apart = abs(float(np.mean(errors) - np.mean(others)))
+            doubts = [*_hidden(every, "pressure"), Doubt(EITHER_REST, "method", apart, seen=True)]
             leap = hypot(EXTREME * max(one.pressure_noise for one in every), self.read("pressure"))
-            yield self.estimate("P_err", ("Pa", "pressure"), PEAK, errors, {"pressure": 1}, leap, doubts=doubts)
+            note = f"{EITHER_REST}: {show(apart, 'pressure', 2)} apart" if apart > leap else ""
+            yield self.estimate("P_err", ("Pa", "pressure"), PEAK, errors, {"pressure": 1}, leap, "", doubts, note)
 
     def if_not_missed(self, e: Estimate) -> Estimate:
         """The estimate of a peak, withheld if its channel is updated too seldom to show one."""

@@ -73,7 +73,9 @@ class Relaxation:
     sampled: float
     """Change of the force in the sample interval before its peak [N], by which the actual peak may exceed it."""
     pressure_peak: float
-    """Largest difference of the pressure from that before; nan where it is not recorded."""
+    """Largest difference of the pressure from the rest before; nan where it is not recorded."""
+    pressure_after: float
+    """The same from the rest after."""
     pressure_noise: float
     """Noise of the pressure [Pa], which gives the largest deviation if the pressure is constant."""
     force_back: Recovery | None
@@ -178,13 +180,12 @@ def _one(
     rest = good & (t > arrived + 1e-9) & (t < end)
     if min(before.sum(), after.sum()) < 3 or rest.sum() < 2 * FEWEST:
         raise NotUsable("fewer than 3 samples at the end of a rest")
-    x, F, P = values["displacement"], values["force"], values["pressure"]
+    x, F, P = (values[name] for name in ("displacement", "force", "pressure"))
     level, relaxed = float(F[before].mean()), float(F[after].mean())
     moved = float(x[after].mean() - x[before].mean())
     if abs(moved) <= 6 * noise_of(x[rest]) or moved == 0:
         raise NotUsable("the displacement does not move above its noise")
-    away = F[moving] - level
-    way = -np.sign(moved)
+    away, way = F[moving] - level, -np.sign(moved)
     place = int(np.argmax(way * away))
     new = good & samples.fresh(trial.channels["force"])  # noise of a held value would look like a motion
     early = new & (t >= 0.5 * (begin + ramp.t)) & (t < ramp.t - 1e-9)
@@ -196,8 +197,8 @@ def _one(
     if still.sum() < 2 * FEWEST:
         raise NotUsable("the displacement comes to rest too late")
     on_way = t[still] - t[still][0]
+    most, from_after = (_farthest(P[moving] - float(P[rows].mean())) for rows in (before, after))
     off = P[moving] - float(P[before].mean())
-    most = float(off[np.argmax(np.abs(off))])
     back = recovery(on_way, F[still])
     peaks = {"force": way * away} | ({"pressure": np.sign(most) * off} if known else {})
     lags, over = lags_of(run, trial), float(t[still][0])
@@ -213,7 +214,8 @@ def _one(
         blunted={},
         unseen={name: _unseen(t[moving], y, ramp.t, over) for name, y in peaks.items()},
         sampled=abs(float(away[place] - away[max(0, place - 1)])),
-        pressure_peak=most if known else float("nan"),
+        pressure_peak=most,
+        pressure_after=from_after,
         pressure_noise=noise_of(P[moving]) if known else 0.0,
         force_back=back,
         pressure_back=recovery(on_way, P[still]) if known else None,
@@ -226,6 +228,11 @@ def _one(
         missed={},
     )
     return replace(one, blunted={name: _blunted(t[moving], y, one.constant(name)) for name, y in peaks.items()})
+
+
+def _farthest(off: Array) -> float:
+    """The value (n,) that is farthest from 0; nan if one is."""
+    return float(off[np.argmax(np.abs(off))])
 
 
 def _after(t: Array, y: Array, over: float, lag: float) -> float:
