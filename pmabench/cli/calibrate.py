@@ -14,7 +14,7 @@ import click
 from pmabench.base.errors import UsageError
 from pmabench.base.quantities import CHANNEL_QUANTITY, show
 from pmabench.cli.common import Ui, common, read_quantity, recorded_options, say
-from pmabench.cli.names import BENCH, PATH, SPECIMEN
+from pmabench.cli.names import BENCH, FOLDER, SPECIMEN
 from pmabench.cli.outcome import AtLines, outcome_json, print_outcome, progress_line
 from pmabench.engine.operator import ConfirmedBeforehand, Nobody
 from pmabench.report.terminal import print_texts
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 @click.option("--points", required=True, metavar="LIST", help='Reference points: "0 N, 58.86 N, 107.91 N".')
 @click.option("--cycles", default=2, show_default=True, help="How often up and down.")
 @click.option("--hold", default="0 kPa", metavar="PRESSURE", help="Pressure that lifts loads off their support.")
-@click.option("--into", default="calibrations", show_default=True, type=PATH, help="Where the file goes.")
+@click.option("--into", default="calibrations", show_default=True, type=FOLDER, help="Where the file goes.")
 @click.option("--valid-until", type=click.DateTime(["%Y-%m-%d"]), help="Last day of the calibration.")
 @recorded_options
 @click.option(

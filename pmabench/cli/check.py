@@ -14,7 +14,7 @@ from pmabench.base.quantities import in_words, show
 from pmabench.base.text import printable
 from pmabench.bench.compile import Mounted
 from pmabench.cli.common import Ui, common, fields, labelled, no_overwriting, plan_options
-from pmabench.cli.names import FILE, PATH, next_lines, typed
+from pmabench.cli.names import FILE, FOLDER, next_lines, typed
 from pmabench.cli.outcome import progress_line
 from pmabench.cli.prepare import needed, prepare, size, too_little
 from pmabench.kinds.compile import PlannedRun, read_protocol
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 @click.command(name="check")
 @plan_options()
 @click.option("--plan", "show_plan", is_flag=True, help="Print every step.")
-@click.option("--out", default="runs", type=PATH, help="Where the run would go, for the disk.")
+@click.option("--out", default="runs", type=FOLDER, help="Where the run would go, for the disk.")
 @click.option("--simulate", is_flag=True, help="Run the plan on the bench with a simulated muscle; show the peaks.")
 @click.option(
     "--muscle", type=click.Path(path_type=Path, exists=True), help="What to simulate: an analysis, or a plant file."
@@ -53,7 +53,7 @@ def command(
     plan, mounted = prepared.plan, prepared.mounted
     summary = plan_summary(plan, mounted)
     summary["disk"] = too_little(summary["bytes"], out)
-    full = [f"too little room on the disk, `run` refuses: {summary['disk']}"] if summary["disk"] else []
+    full = [f"`run` refuses: {summary['disk']}"] if summary["disk"] else []
     warnings = [*prepared.warnings(), *full]
     if drop_idle != (output is not None):
         raise UsageError("--drop-idle and -o FILE belong together")

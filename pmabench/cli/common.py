@@ -21,7 +21,7 @@ import click
 
 from pmabench.base.errors import InvalidFile, PmaError, RecordError, UsageError
 from pmabench.base.text import Spelled, in_ascii, raw, spelled
-from pmabench.cli.names import BENCH, PATH, PROTOCOL, SPECIMEN
+from pmabench.cli.names import BENCH, FOLDER, PROTOCOL, SPECIMEN
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -263,7 +263,7 @@ def with_options(*options: Callable[..., Any]) -> Callable[[Callable[..., Any]],
 
 recorded_options = with_options(
     click.option("--operator", default="", help="Who is at the bench; the login name if not given."),
-    click.option("--out", default="runs", show_default=True, type=PATH, help="Where run folders go."),
+    click.option("--out", default="runs", show_default=True, type=FOLDER, help="Where run folders go."),
 )
 """Options of what is recorded as a run: `out`, `operator`."""
 

@@ -14,7 +14,7 @@ import click
 from pmabench.base.errors import UsageError
 from pmabench.base.text import printable
 from pmabench.cli.common import Ui, common, fields, no_overwriting
-from pmabench.cli.names import PATH
+from pmabench.cli.names import FOLDER, PATH
 from pmabench.files.shipped import find_file
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     is_flag=True,
     help="Take what the map proposes where its questions are not answered; no result is accepted then.",
 )
-@click.option("--out", default="runs", show_default=True, type=PATH, help="Where run folders go.")
+@click.option("--out", default="runs", show_default=True, type=FOLDER, help="Where run folders go.")
 @common
 def command(
     ui: Ui,

@@ -65,8 +65,10 @@ def needed(plan: Plan, steps: Sequence[Step] | None = None) -> int:
 
 
 def too_little(count: int, out: Path) -> str:
-    """A sentence where less than twice `count` bytes are free at `out`, or at the folder that it would be made in."""
-    place = next((folder for folder in (out, *out.absolute().parents) if folder.is_dir()), Path("/"))
+    """A sentence where no folder can be made at `out`, or less than twice `count` bytes are free there."""
+    place = next((there for there in (out, *out.absolute().parents) if there.exists()), Path("/"))
+    if not place.is_dir():
+        return f"{place} is no folder; record elsewhere with --out"
     free = shutil.disk_usage(place).free
     if free >= REQUIRED * count:
         return ""

@@ -19,7 +19,7 @@ import click
 from pmabench.base.errors import UsageError, did_you_mean
 from pmabench.base.text import clean
 from pmabench.cli.common import Ui, common
-from pmabench.cli.names import PATH, RunFolder, next_lines, short
+from pmabench.cli.names import FOLDER, RunFolder, next_lines, short
 from pmabench.cli.sources import (
     campaign_folder,
     chains,
@@ -50,7 +50,7 @@ MOST_SINCE = 2
 @click.argument("runs", nargs=-1, required=True, type=RunFolder(), metavar="RUN...|FOLDER...")
 @click.option(
     "--out",
-    type=PATH,
+    type=FOLDER,
     help="Analysis folder.  [default: in analyses/ next to runs/, or in a folder of runs of another name]",
 )
 @click.option("--each", is_flag=True, help="Each run on its own and one table, as for a folder of runs.")

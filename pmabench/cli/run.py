@@ -19,7 +19,7 @@ import click
 from pmabench.base.errors import RecordError, UsageError, invalid
 from pmabench.base.system import ENGINE, ordinary, real_time, user_name
 from pmabench.cli.common import Ui, common, plan_options, say, session_options
-from pmabench.cli.names import PATH, WIDTH, RunFolder, short, typed
+from pmabench.cli.names import FOLDER, WIDTH, RunFolder, short, typed
 from pmabench.cli.outcome import AtDisplay, Confirmed, at_terminal, print_checks, progress_line, show_end, show_next
 from pmabench.engine.operator import Operator
 
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 @click.command(name="run")
 @plan_options(required=False)
-@click.option("--out", default=None, type=PATH, help="Where run folders go.  [default: runs]")
+@click.option("--out", default=None, type=FOLDER, help="Where run folders go.  [default: runs]")
 @click.option("--operator", default="", help="Who is at the bench; the login name if not given.")
 @click.option("--yes", is_flag=True, help="Every prompt counts as answered; the record says so.")
 @click.option("--resume", type=RunFolder(exists=True), help="Go on after the last trial of this run.")
@@ -250,7 +250,7 @@ LOOKED = "Have you looked at the rig, and may pressure be put on it again?"
 
 @click.command(name="continue")
 @click.argument("run", required=False, type=RunFolder())
-@click.option("--out", default="runs", show_default=True, type=PATH, help="Where run folders are.")
+@click.option("--out", default="runs", show_default=True, type=FOLDER, help="Where run folders are.")
 @click.option("--operator", default="", help="Who is at the bench; asked for if not given.")
 @click.option("--because", default="", help="Why the bench may be used again; asked for where it is tripped.")
 @click.option("--yes", is_flag=True, help="Ask nothing: every question counts as answered, and the record says so.")

@@ -257,9 +257,10 @@ def not_shown(request: Request) -> list[str]:
     """Sentences on what these points and cycles cannot determine."""
     found, count = [], len(set(request.points))
     if count == 2:
+        different = "different " if len(request.points) > 2 else ""
         found.append(
-            "two points do not show how far the channel bends between them: the file leaves its expanded_uncertainty "
-            "open (??), and a bench asks for it; take four or more"
+            f"two {different}points do not show how far the channel bends between them: the file leaves its "
+            "expanded_uncertainty open (??), and a bench asks for it; take four or more"
         )
     if count == 3:
         found.append("three points do not show a line that bends one way and then the other; take four or more")

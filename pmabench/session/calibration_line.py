@@ -186,6 +186,7 @@ def never_less(value: float) -> str:
 def budget(found: Fit, quantity: str, raw_unit: str) -> list[tuple[str, str]]:
     """Components of the uncertainty: pairs of name and value with unit."""
     shown = QUANTITIES[quantity]
+    open_ = "not known; without the bend " if found.residual is None else ""
     return [
         ("slope", f"{found.scale.slope:.8g} {shown.unit}/{raw_unit}"),
         ("offset", show(found.scale.offset, quantity)),
@@ -194,5 +195,5 @@ def budget(found: Fit, quantity: str, raw_unit: str) -> list[tuple[str, str]]:
         ("repeatability (1 s)", show(found.repeatability, quantity, 3)),
         ("drift", show(found.drift, quantity, 3)),
         ("reference (k = 2)", show(found.reference, quantity, 3)),
-        ("expanded (k = 2)", f"{never_less(found.expanded / shown.scale)} {shown.shown_in}"),
+        ("expanded (k = 2)", f"{open_}{never_less(found.expanded / shown.scale)} {shown.shown_in}"),
     ]

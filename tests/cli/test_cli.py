@@ -290,6 +290,12 @@ def test_a_folder_or_device_where_a_file_is_expected(tmp_path):
     for path, says in ((tmp_path, "is a folder"), ("/dev/null", "is no file"), (tmp_path / "fifo", "is no file")):
         assert says in call("check", path, *MOCK, code=3).output
     assert "is a pipe" in call("report", tmp_path, "-o", tmp_path / "fifo", code=2).output
+    for out, says, code in (
+        (__file__, "is a file", 2),
+        (f"{__file__}/a", "no folder", 7),
+        ("/dev/null", "no folder", 7),
+    ):
+        assert says in call("run", "contraction-relaxation", *MOCK, *SMALL, "--yes", "--out", out, code=code).output
     assert "names no bench" in call("check", "static-load", "--bench", "", "--specimen", "x", code=3).output
     assert "File name too long" in call("check", "a" * 5000, *MOCK, code=3).output
 

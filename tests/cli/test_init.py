@@ -160,6 +160,7 @@ def test_what_protects_the_muscle_is_never_derived(key: str, tmp_path: Path) -> 
         ("dump_valve=FIO0", '"FIO0 closed", or "none"'),
         ("daqs=ni", 'did you mean "daq"'),
         ("sensors=pressure 0 V..10 V = 0 kPa..1 MPa", "displacement is missing"),
+        ("inputs=pressure AIN0, displacement AIN1, force AIN2, command AIN3, actuator AIN4", "too many"),
     ],
 )
 def test_an_answer_that_cannot_be_is_refused_with_what_was_expected(answer: str, reported: str, tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from pmabench.bench.interface import Scale
 from pmabench.engine.operator import ConfirmedBeforehand, Nobody
 from pmabench.session import calibration
 from pmabench.session.calibration import Request, calibrate, not_followed, not_shown, uncovered
-from pmabench.session.calibration_line import DOWN, UP, Point, fit, write_calibration
+from pmabench.session.calibration_line import DOWN, UP, Point, budget, fit, write_calibration
 from pmabench.store.reader import open_run
 from tests.engine.benches import mounted
 
@@ -198,6 +198,13 @@ def test_what_few_points_and_cycles_do_not_show_is_said_before():
     for (count, cycles), words in first_words.items():
         request = Request("force", tuple(map(float, range(count))), "w", 0.1, cycles)
         assert [" ".join(line.split()[:2]) for line in not_shown(request)] == words
+
+
+def test_a_point_typed_thrice_shows_no_bend_and_no_uncertainty():
+    (said,) = not_shown(Request("force", (0.0, 9.0, 9.0, 9.0), "w", 0.1, 2))
+    assert said.startswith("two different points"), "four were typed"
+    line = fit(sensor((0.0, 9.0, 9.0, 9.0), 2, 0.1, 1), 0.1)
+    assert dict(budget(line, "force", "V"))["expanded (k = 2)"].startswith("not known")
 
 
 def test_points_that_leave_most_of_the_range_out_are_warned_of():

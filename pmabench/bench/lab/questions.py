@@ -255,6 +255,8 @@ def _inputs(value: str, answers: Answers) -> dict[str, str]:
     found = reading.inputs(value)
     if answers.text("free_end") == "actuator" and "actuator" not in found:
         raise ValueError("actuator is missing: what the actuator is set to, looped into an input")
+    if answers.text("free_end") != "actuator" and "actuator" in found:
+        raise ValueError("actuator is an input too many: weights are at the free end")
     return found
 
 
