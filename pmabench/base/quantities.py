@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+PLAIN = 1e6
+"""Size [display units] below which no power of ten is written."""
+
 
 @dataclass(frozen=True)
 class Quantity:
@@ -19,7 +22,10 @@ class Quantity:
 
     def show(self, value: float, digits: int = 6) -> str:
         """`value` [SI] in the display unit, for instance `300 kPa`."""
-        return f"{value / self.scale:.{digits}g} {self.shown_in}".strip()
+        text = f"{value / self.scale:.{digits}g}"
+        if "e+" in text and abs(float(text)) < PLAIN:
+            text = f"{float(text):.0f}"
+        return f"{text} {self.shown_in}".strip()
 
 
 QUANTITIES: dict[str, Quantity] = {

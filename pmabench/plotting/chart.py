@@ -51,6 +51,8 @@ GAP = 12.0
 """Gap between charts in a row [pt]."""
 INNER = 4.0
 """Room left of axes whose labels are at the chart on their left [pt]."""
+DIGITS, STEPS = 5, 6
+"""Significant digits of the marks and ticks of a page; fewest steps of the last one on an axis."""
 COLUMN, PAGE, HIGH = 249.0, 510.0, 160.0
 """Widths of narrow and of wide pictures, and their usual height [pt]."""
 
@@ -198,8 +200,11 @@ def _reach(values: Sequence[Array], log: bool) -> tuple[float, float]:
     every = np.concatenate([*values, np.zeros(0)])
     every = every[np.isfinite(every) & ((every > 0) | (not log))]
     low, high = (float(every.min()), float(every.max())) if len(every) else (0.1, 1.0)
-    if high - low > 1e-9 * max(abs(low), abs(high), 1e-300):
-        return low, high
+    largest = max(abs(low), abs(high), 1e-300)
+    if high - low > 1e-9 * largest:
+        least = 0.0 if log else STEPS * 10.0 ** (floor(log10(largest)) - DIGITS + 1)
+        room = max(0.0, least - (high - low)) / 2
+        return low - room, high + room
     room = 0.1 * abs(low) or 0.5
     return (low / 2, high * 2) if log else (low - room, high + room)
 

@@ -38,6 +38,12 @@ def symbol_parts(text: str) -> list[tuple[str, str]]:
     return [(kind, part) for kind, part in pieces if part]
 
 
+def capital(text: str) -> str:
+    """The text with a capital, unless a symbol begins it: `tau_F at 350 kPa`."""
+    found = SYMBOL.match(text)
+    return text if found and (found["sub"] or found["base"] in GREEK) else f"{text[:1].upper()}{text[1:]}"
+
+
 def as_file(svg: str, font: str) -> str:
     """The SVG element as a separate file: sizes in points (1/72 in), text in `font`, on white."""
     box = re.search(r'viewBox="\S+ \S+ (\S+) ([^" ]+)"', svg)

@@ -49,6 +49,7 @@ SPOKEN: dict[str, str] = {
     "mean": "mean contraction",
     "from": "pressure before",
     "tip_mass": "load",
+    "psi": "ψ",
     **{f"pressure_{n}": f"pressure of muscle {n}" for n in (1, 2, 3)},
 }
 """Coordinates whose word differs from their name."""

@@ -33,6 +33,7 @@ from pmabench.plotting.chart import (
     small_multiples,
 )
 from pmabench.plotting.pictures import Picture, column, curve, drawable, has, label, of_charts, of_traces, spread
+from pmabench.plotting.svg import capital
 from pmabench.plotting.wording import (
     COLUMNS,
     POINTS,
@@ -203,7 +204,7 @@ def coefficient_picture(
     if not panels:
         return None
     titled = listed([_title(symbols, results) for symbols, _ in panels])
-    title = f"{titled[:1].upper()}{titled[1:]} over {spoken(over)}"
+    title = f"{capital(titled)} over {spoken(over)}"
     size = (PAGE - GAP * (len(panels) - 1)) / len(panels), HEIGHT - less - _second_line(title)
     made = [_chart(symbols, mine, over, primary, size) for symbols, mine in panels]
     own = [e for a, e in drawn if _way(e) in primary and a.kind != PUBLISHED]
@@ -308,7 +309,7 @@ def _figure(
     titled = {e.symbol: results.get(e.symbol) for e in known}
     names = listed([clean(f"{result.title if result else ''} {s}".strip()) for s, result in titled.items()])
     leading = next(iter(titled.values()))
-    named = names[:1].upper() + names[1:] if leading and leading.title else names
+    named = capital(names) if leading and leading.title else names
     title = f"{clean(leading.plot) if leading and leading.plot else named} over {spoken(over)}"
     caption = "95 % intervals" if any(e.ci95 for e in known) else "Values without intervals"
     if any(_way(e) not in primary for _, e in mine if e.value is not None):
@@ -434,13 +435,14 @@ def curve_of(
 
 
 def table_of(estimates: Sequence[Estimate], over: str) -> Frame:
-    """The numbers of a plot: one row for each estimate; text."""
-    head, unit = point_shown(over)
+    """The numbers of a plot: one row for each estimate, with `over` first; text."""
+    differ = (name for e in estimates for name, value in e.at.items() if value != estimates[0].at.get(name))
+    names = in_order([over, *(name for name in differ if name != "mass")], [over, *POINTS])
     rows = [
         {
             "method": clean(e.method),
             "symbol": symbol_text(e.symbol, e.coordinate),
-            unit.label(head): number(e.at[over] / unit.scale),
+            **{point_head(name): number(e.at[name] / point_shown(name)[1].scale) for name in names if name in e.at},
             shown(e.quantity, e.unit).label("value"): cell(e),
             "trials": str(e.n),
         }
@@ -452,13 +454,16 @@ def table_of(estimates: Sequence[Estimate], over: str) -> Frame:
 def surface_picture(
     analyses: Sequence[Analysis], members: Sequence[Estimate], over: str, across: str, less: float
 ) -> Picture | None:
-    """Values of the method of `members` over `across`, dots of each `over` in a colour; lower by `less` [pt].
+    """Values of the methods of `members` over one coordinate, dots of each place in the other in a colour.
 
-    None where no symbol is known at two places.
+    The axis is that with more places, or else `across`; lower by `less` [pt]. None where no symbol is known at two
+    places.
     """
     methods = {e.method for e in members}
     every = [e for a in analyses for e in a.estimates if e.method in methods and e.value is not None]
     known = [e for e in every if set(e.at) - {"mass"} == {over, across}]
+    if len({e.at[over] for e in known}) > len({e.at[across] for e in known}):
+        over, across = across, over
     order = [symbol for symbol in declared(analyses) if len([e for e in known if e.symbol == symbol]) > 1][:PANELS]
     if not order:
         return None
@@ -466,10 +471,11 @@ def surface_picture(
     simulated = any(a.simulated for a in analyses)
     drawn = [[e for e in known if e.symbol == symbol] for symbol in order]
     names = " and ".join(f"{declared(analyses)[symbol].title} {symbol}" for symbol in order)
-    title = f"{names[:1].upper()}{names[1:]} over contraction, at each pressure"
+    title = f"{capital(names)} over {spoken(across)}, at each {spoken(over)}"
     size = width, HIGHER - less - _second_line(title)
     charts = tuple(_surface_chart(mine, over, across, size) for mine in drawn)
-    caption = "Dots: values of the fit, half way between both directions; bars: 95 % intervals."
+    caption = f"Dots: {listed([clean(method, 60) for method in dict.fromkeys(e.method for e in members)])}"
+    caption += f"{'; bars: 95 % intervals' if any(e.ci95 for e in known) else ', without intervals'}."
     table = table_of([e for mine in drawn for e in mine], over)
     return of_charts([charts], title, caption, table, simulated=simulated)
 

@@ -180,6 +180,12 @@ def left_out(dropped: Sequence[Dropped]) -> str:
     return ", ".join(f"{clean(reason)} ({count})" for reason, count in counts.most_common(3))
 
 
+def without_run(text: str, tests: Sequence[Analysis]) -> str:
+    """The text in typography; the name of the run is left out where there is only one."""
+    runs = {run for a in tests for run in a.runs}
+    return clean(printed(text.replace(f"{next(iter(runs))}: ", "") if len(runs) == 1 else text))
+
+
 def costliest(tests: Sequence[Analysis], failed: Sequence[str]) -> tuple[list[str], int]:
     """What costs most first: not accepted (`failed`: why), withheld, faults, doubts, trials that are missing.
 
@@ -190,10 +196,10 @@ def costliest(tests: Sequence[Analysis], failed: Sequence[str]) -> tuple[list[st
     found += [text for text in held if not any(text.partition("withheld: ")[2][:ALIKE] in one for one in failed)]
     for level in ("fault", "doubt"):
         texts = (f.text for a in tests for f in a.findings if f.level == level)
-        found += [printed(t) for t in texts if not any(t.removeprefix("form: ")[:ALIKE] in one for one in failed)]
+        found += [t for t in texts if not any(t.removeprefix("form: ")[:ALIKE] in one for one in failed)]
     lost = [a.dropped for a in tests if a.dropped]
     found += [f"{len(one)} trial{'s'[: len(one) > 1]} not used: {left_out(one)}" for one in lost]
-    found = list(dict.fromkeys(clean(text) for text in found))
+    found = list(dict.fromkeys(without_run(text, tests) for text in found))
     notes = sum(f.level == "note" for a in tests for f in a.findings)
     return found[:MOST_FINDINGS], len(found[MOST_FINDINGS:]) + notes
 

@@ -19,6 +19,7 @@ from pmabench.base.quantities import in_words
 from pmabench.plotting.chart import BLUE, FAINT, FAULT, PAGE, Chart, Level
 from pmabench.plotting.chart import Series as Drawn
 from pmabench.plotting.pictures import LARGEST, Picture, drawable, of_charts
+from pmabench.plotting.svg import capital
 from pmabench.plotting.wording import Frame, clean, point_text, rounded, shown, symbol_text
 from pmabench.report.document.special_tables import change_rows
 from pmabench.report.figures import over_pressure
@@ -162,7 +163,7 @@ def _over_cycles(one: Series, *, simulated: bool) -> Picture:
     caption = f"{kind_title(one.kind)}{f', {at}' if at else ''}; {interval_text}."
     values = zip(moments, y.tolist(), bars.tolist(), strict=True)
     rows = [_row(m.date, m.cycles) | {chart.y_label: rounded(v, half or None)} for m, v, half in values]
-    title = f"{name[:1].upper()}{name[1:]} {over}"
+    title = f"{capital(name)} {over}"
     return of_charts([[chart]], title, caption, Frame(rows), simulated=simulated)
 
 

@@ -125,24 +125,28 @@ def test_creep_that_is_slower_than_a_hold_is_in_the_intervals(share, times):
     assert all(e.parts.combined is None for e in fits)
 
 
-def drifting(drift, days=(0.0,)):
+def drifting(drift, days=(0.0,), **other):
     """Angles of loads in turn whose sensor's zero moves by `drift` from the first trial of a day to its last [rad].
 
-    `days`: by how much it is off on each [rad]; a later day begins later in its run.
+    `days`: by how much it is off on each [rad]; a later day begins later in its run. `other` as in `day_of`.
     """
     settings: dict[str, object] = {"preload": 50e3, "angle": "measured", "compare": "nothing"}
     known = {name: facts for name, facts in KNOWN.items() if name != "displacement"}
     runs = []
     for day, off in enumerate(days):
-        trials = [replace(one, run=f"day {day}") for one in day_of(drift, off, 300.0 * day)]
+        trials = [replace(one, run=f"day {day}") for one in day_of(drift, off, 300.0 * day, **other)]
         runs.append(replace(as_run("arm-angle", trials, 50.0, settings, known), id=f"day {day}"))
     return reduction.reduce(runs)
 
 
-def day_of(drift, off, late, repeats=4):
-    """The trials of one day, which begins at `late` [s]."""
+def day_of(drift, off, late, repeats=4, loads=(0.0, 0.2), left=0.0, lag=0.0):
+    """The trials of one day, which begins at `late` [s].
+
+    `left`: where the load was not changed before a trial, the muscle is still emptying, with 1 s [rad]. The angle
+    follows the pressure with `lag` [s].
+    """
     made: list[TrialData] = []
-    for load, number in ((load, number) for load in (0.0, 0.2) for number in range(repeats)):
+    for load, number in ((load, number) for load in loads for number in range(repeats)):
         corners, levels = [0.0, 0.5], [0.0, 0.0]
         commands = []
         for phase, level in (("preload", 50e3), ("up", 150e3), ("up", 300e3), ("down", 150e3), ("down", 50e3)):
@@ -153,8 +157,10 @@ def day_of(drift, off, late, repeats=4):
         t = np.arange(0, corners[-1], 0.02)
         P = np.interp(t, corners, levels)
         rng = np.random.default_rng(len(made) + int(late))
-        begin, share = late + 60.0 * len(made), len(made) / (2 * repeats - 1)
-        angle = (3e-6 - 2e-6 * load) * P + off + drift * share + rng.normal(0, 5e-4, len(t))
+        begin, share = late + 60.0 * len(made), len(made) / (len(loads) * repeats - 1)
+        followed = lagged(P, lag, 50.0) if lag else P
+        angle = (3e-6 - 2e-6 * load) * followed + off + drift * share + rng.normal(0, 5e-4, len(t))
+        angle += left * np.exp(-t) * (number > 0)
         channels = {"pressure": P + rng.normal(0, 300, len(t)), "angle": angle}
         commands = tuple(replace(one, t=begin + one.t) for one in commands)
         made.append(TrialData("a", len(made), {"tip_mass": load}, number, False, "finished", begin + t, channels,
@@ -185,3 +191,22 @@ def test_an_angle_without_drift_has_none(days):
     assert not any("drifts" in f.text for f in analysis.findings)
     for e in of(analysis, "alpha_0", "angle-at-rest"):
         assert not any("drift" in line.name for line in e.budget)
+
+
+def test_what_a_short_wait_leaves_in_the_muscle_is_no_drift():
+    """The first trial of each load comes after the time that changing it takes, so each load seems to begin lower."""
+    loads = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)
+    analysis = drifting(0.0, loads=loads, repeats=3, left=3e-3)
+    assert not any("drifts" in f.text for f in analysis.findings)
+    held = drifting(0.03, loads=loads, repeats=3, left=3e-3)
+    assert any("zero of its sensor drifts" in f.text for f in held.findings)
+
+
+def test_a_gap_of_nothing_is_given_with_what_the_end_of_a_hold_leaves_open():
+    """Both ways are one; over the last fifth of a hold of 3 s the angle is still 0.05 % of its step away."""
+    gaps = of(drifting(0.0, lag=0.36), "alpha_H", "angle-at-rest")
+    assert len(gaps) == 2
+    for e in gaps:
+        assert e.value is not None, e.note
+        assert abs(e.value) < e.parts.combined < 0.01
+        assert "motion after the hold" in {line.name for line in e.budget}

@@ -315,3 +315,26 @@ def test_rests_of_a_drive_show_a_slip_but_a_constant_scale_is_a_difference_only(
     assert scaled.throughout
     assert -1.5 * 0.04 < scaled.gain < 1 / 1.04 - 1, "back to the command at least"
     assert "+4.0% of the way" in scaled.text
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_noise_on_a_short_way_is_no_change_of_scale_but_one_above_the_noise_is(seed):
+    """A drive that goes to each place and back, over 1 to 12 mm; nearly all samples are at either end."""
+    random, trials = np.random.default_rng(seed), list[TrialData]()
+    for travel in (2e-3, 4e-3, 4e-3, *(6e-3 * n for n in range(1, 6))) * 2:
+        t = 100.0 * len(trials) + np.arange(0.0, 60.0, 0.1)
+        sent = np.interp(t - t[0], (1.0, 1.4, 30.0, 30.4), (0.0, travel, travel, 0.0))
+        channels = {
+            "displacement": sent + 4e-6 * random.standard_normal(len(t)),
+            "displacement_command": sent,
+        }
+        flags = np.zeros(len(t), np.uint16)
+        trials.append(
+            TrialData("lab", len(trials), {"contraction": 0.0}, 0, False, "finished", t, channels, flags, (), {})
+        )
+    assert followed(as_run("isometric-pressurisation", trials, 10.0, {})) is None
+    later = [
+        replace(one, channels=one.channels | {"displacement": 1.01 * one.channels["displacement"]})
+        for one in trials[8:]
+    ]
+    assert "from 8" in followed(as_run("isometric-pressurisation", [*trials[:8], *later], 10.0, {})).text

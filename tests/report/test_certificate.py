@@ -15,8 +15,9 @@ from pmabench.report.certificate import quality
 from pmabench.report.certificate.force_chart import READABLE, blue
 from pmabench.report.certificate.quality import limits
 from pmabench.report.certificate.result_table import result_table, thousands
+from pmabench.report.certificate.sheet import sheet_of
 from pmabench.report.document.content import content_of, page_of
-from pmabench.report.foremost import how_well, left_out
+from pmabench.report.foremost import Verdict, how_well, left_out
 from pmabench.store.analyses.results import Dropped, Finding, Parts, Trace
 
 from . import samples
@@ -289,6 +290,52 @@ def test_an_interval_wider_than_half_its_value_is_said_in_its_unit():
     """0.01 N ± 0.2 N is not ± 2000 %."""
     e = samples.estimate("F", 0.01, "m", {"pressure": 1e5}, kind=("N", "force"), parts=Parts(repeats=0.2))
     assert [quality.sources([replace(e, value=v)], "pressure").bars[0].half for v in (0.01, 10)] == ["0.2 N", "2 %"]
+    assert how_well([replace(e, parts=Parts(repeats=188.0))], "pressure").startswith("F within 190 N "), "not 1.9e+02"
+
+
+@pytest.mark.parametrize("cause", ["withheld: the force is not at rest", "withheld: 20261201-1401_muscle_0a1b: a slip"])
+def test_a_symbol_keeps_its_letter_and_the_only_run_is_not_named(cause):
+    """`tau_F` was "Tau_F" at the beginning of a sentence, and then no symbol; a run's name filled the first line."""
+    analysis = replace(samples.sine(), runs=("20261201-1401_muscle_0a1b",))
+    failed = [f"tau_F at pressure 350 kPa: {cause}"]
+    (said, *_) = quality.findings([analysis], failed)
+    sheet = sheet_of([analysis], [], [], {}, Verdict("fault", "Not accepted", ""), failed)
+    for text in (said.removeprefix("Not accepted: "), sheet.sentence):
+        assert text.startswith("tau_F at pressure 350 kPa: withheld: ")
+        assert "muscle_0a1b" not in text
+
+
+def test_values_at_two_coordinates_are_drawn_over_that_with_more_places_each_other_in_a_colour():
+    """Of ramps, the dots of all contractions lay in a heap at each pressure, and the numbers did not say which is which."""
+    plain = samples.sine()
+    e = next(e for e in plain.estimates if e.symbol == "K")
+    places = [{"pressure": 1e5 * P, "contraction": 1e-3 * x} for P in (2, 3) for x in (1, 10, 19)]
+    analysis = replace(plain, estimates=tuple(replace(e, at=at) for at in places), traces=())
+    picture = content_of([analysis], []).sheet.first[0]
+    assert picture.title == "Stiffness K over contraction, at each pressure"
+    (drawn,) = picture.charts
+    dots = [series for series in drawn.series if series.mark]
+    assert [series.label for series in dots] == ["200 kPa", "300 kPa"]
+    assert all(series.x.tolist() == pytest.approx([1, 10, 19]) for series in dots)
+    assert {"P [kPa]", "x [mm]"} <= set(picture.table.columns)
+
+
+def test_what_other_methods_say_is_not_among_the_values():
+    """With one operating point the table had B and F_c twice, and did not say that the others are for comparison."""
+    plain = samples.sine()
+    e = replace(next(e for e in plain.estimates if e.symbol == "K"), at={})
+    table, _, _ = result_table([replace(plain, estimates=(e, replace(e, method="another", value=1.02 * e.value)))])
+    assert len(table.rows) == 1
+
+
+def test_an_axis_is_not_finer_than_the_digits_at_it():
+    """Two values that differ in the fifth digit: ticks had the same text, and one dot was outside."""
+    values = np.array([16.8712, 16.8728])
+    low, high = chart.limits(Chart("x", "y", (Series("", np.array([0.0, 1.0]), values, "#000", "o"),)))[2:]
+    texts = [f"{tick:.5g}" for tick in chart.ticks(low, high, 5)]
+    assert len(set(texts)) == len(texts) > 2
+    assert low < 16.871
+    assert high > 16.873
 
 
 def test_the_fastest_motion_is_that_of_the_record():

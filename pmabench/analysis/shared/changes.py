@@ -326,6 +326,8 @@ class Followed:
     """Share of the commanded travel that is measured [1]; nan where nothing travelled."""
     open: float = 0.0
     """Uncertainty of `scale` by the lag of the drive [1]."""
+    noise: float = 0.0
+    """Largest error of `scale` by noise [1]."""
     reach: float = 0.0
     """Half of the commanded travel [m]."""
 
@@ -358,7 +360,8 @@ class Followed:
             return None
         lost = lag**2 * float(np.mean(speed**2) / np.mean((sent - centre) ** 2))
         place, rest = float(terms[0]) - centre, float(np.std(x - design @ terms))
-        return cls(trial, float(t[0]), centre, place, rest, scale * (1 + lost), BY_LAG * lost, reach)
+        noise = CLEAR * rest * float(np.sqrt(np.linalg.pinv(design.T @ design)[1, 1]))
+        return cls(trial, float(t[0]), centre, place, rest, scale * (1 + lost), BY_LAG * lost, noise, reach)
 
 
 def followed(run: RunData) -> Change | None:
@@ -378,7 +381,8 @@ def followed(run: RunData) -> Change | None:
         return first.place + (steady.scale - 1) * (sent - first.centre)
 
     moved = [one.place - before(one.centre) for one in every]
-    changed = [one for one in travelled if abs(one.scale - steady.scale) > most + one.open + steady.open]
+    open_, noise = steady.open, steady.noise
+    changed = [one for one in travelled if abs(one.scale - steady.scale) > most + one.open + open_ + one.noise + noise]
     slipped = [
         one for one, by in zip(every, moved, strict=True) if abs(by) > far + most * abs(one.centre - first.centre)
     ]

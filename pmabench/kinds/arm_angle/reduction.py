@@ -42,7 +42,7 @@ OFF = 3.0
 POWERS = 5
 """Powers of the load, from 0 on: the form goes through this many loads exactly; only more loads can test it."""
 LEAST = 0.003
-"""Misfit, as a share of the largest angle, that is too small to count against the form."""
+"""Misfit, or motion after a hold, as a share of the largest angle, that is too small to count against the form."""
 ANOTHER = "the angles lie {} (rms) off this form, {:.0f} of their errors: it is another curve. Take the angles at rest"
 NO_POWERS = (
     "the angles of all loads lie {} (rms) off the powers of the load, {:.0f} of their errors: take the coefficients of "
@@ -129,8 +129,11 @@ def _of_load(fitted: Fitted) -> list[Estimate]:
     if widest is not None:
         gap = float(one.gaps[:, widest].mean())
         e = made("alpha_H", one.gaps[:, widest], 0.0, {channel: gap})
-        found.append(weighed(e, _of_gap(one, widest, gap)))
-    contradicted = next((e.note for e in found if e.withheld), "") or (one.zero_off if one.zero < 0 else "")
+        found.append(weighed(e, _of_gap(one, widest, max(LATE * abs(gap), LEAST * largest))))
+    late = (_moving(one, place, -1) for place in range(len(one.sets)))
+    contradicted = next((e.note for e in found if e.withheld and e.symbol != "alpha_H"), "")
+    contradicted = contradicted or next((why for left, why in late if left.seen and left.most > LEAST * largest), "")
+    contradicted = contradicted or (one.zero_off if one.zero < 0 else "")
     contradicted = contradicted or _misses(fitted.up, [one], ANOTHER)
     return [*found, *_without(_coefficients(fitted.up, fitted.why, UP, at, [one]), contradicted)]
 
@@ -276,15 +279,15 @@ def _at_rest(one: Loaded, place: int, slope: float) -> list[Doubt]:
     return [moving, _slips(one), _zero(one, slope), _apart(one), _steps(one.coarse), drift]
 
 
-def _of_gap(one: Loaded, place: int, value: float) -> list[Doubt]:
-    """Effects on the gap between both branches, which unfinished motion would close."""
+def _of_gap(one: Loaded, place: int, most: float) -> list[Doubt]:
+    """Effects on the gap between both branches, which unfinished motion would close; above `most` it is withheld."""
     found = [_moving(one, place, side) for side in (-1, 1)]
     half, seen = sum(further.most for further, _ in found), any(further.seen for further, _ in found)
     reason = next((text for further, text in found if further.seen), "")
     slip = _slips(one, 1 / len(one.stairs))
     doubts = [Doubt("motion after the hold", "method", half, seen, reason), slip, _steps(2**0.5 * one.coarse)]
     doubts.append(Doubt("hysteresis of the angle", "method", one.hysteresis, seen=False))
-    return [one if one.half > LATE * abs(value) else replace(one, reason="") for one in doubts]
+    return [one if one.half > most else replace(one, reason="") for one in doubts]
 
 
 def _of_flat(one: Loaded, top: int, value: float) -> list[Doubt]:

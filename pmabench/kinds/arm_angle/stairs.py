@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -261,22 +260,21 @@ def from_trial_to_trial(loads: Sequence[Sequence[Stair]]) -> float:
     """Change of the angle before the trials by a line in time, from the first trial of a run to its last [rad]; 0 where
     it is not significant.
 
-    Trials are compared with those of the same load and run, whose sensor has one zero. The first of each run is left
-    out: the muscle was at rest before.
+    Trials are compared with those of the same load and run, whose sensor has one zero, and after a like wait: the load
+    was changed before both or before neither. The first of each run is left out: the muscle was at rest before.
     """
+    each = [(stair, n) for n, stairs in enumerate(loads) for stair in stairs]
     begins: dict[str, list[float]] = {}
-    for stair in (stair for stairs in loads for stair in stairs):
-        begins.setdefault(stair.trial.run, []).append(float(stair.trial.t[0]))
-    t, y, cells = list[float](), list[float](), 0
-    for stairs, (run, times) in product(loads, begins.items()):
-        one_run = [stair for stair in stairs if stair.trial.run == run and stair.trial.t[0] > min(times)]
-        known = [(stair.trial.t[0], stair.start) for stair in one_run if np.isfinite(stair.start)]
-        if known:
-            cells += 1
-            mean_t, mean_y = np.mean(known, axis=0).tolist()
-            t += [at - mean_t for at, _ in known]
-            y += [start - mean_y for _, start in known]
-    free, off, value = len(t) - cells - 1, np.array(t), np.array(y)
+    alike: dict[tuple[str, int, bool], list[tuple[float, float]]] = {}
+    before = -1
+    for stair, load in sorted(each, key=lambda one: (one[0].trial.run, one[0].trial.t[0])):
+        run, begin = stair.trial.run, float(stair.trial.t[0])
+        if run in begins and np.isfinite(stair.start):
+            alike.setdefault((run, load, load != before), []).append((begin, stair.start))
+        begins.setdefault(run, []).append(begin)
+        before = load
+    off, value = np.concatenate([np.zeros((0, 2)), *(np.array(one) - np.mean(one, axis=0) for one in alike.values())]).T
+    free = len(off) - len(alike) - 1
     if free < MANY - 1 or not off.any():
         return 0.0
     slope = float(off @ value / (off @ off))

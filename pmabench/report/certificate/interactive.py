@@ -16,15 +16,15 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.plotting.chart import SHAPES, Array, Chart, Series, in_words, limits
+from pmabench.plotting.chart import DIGITS, SHAPES, Array, Chart, Series, in_words, limits
 from pmabench.plotting.drawing import level_names, rows_needed
 from pmabench.plotting.pictures import Picture
 from pmabench.plotting.svg import symbol_parts
 
 AS_THEY_ARE = ("color", "mark", "hollow", "width", "dashed", "method")
 """Fields of a series that the script takes as they are."""
-DIGITS, FINE = 5, 2e-4
-"""Significant digits of the numbers, and resolution of lines as a share of the range of their axis."""
+FINE = 2e-4
+"""Resolution of lines as a share of the range of their axis."""
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ import numpy as np
 from pmabench.analysis.verdict.checks import checks_of
 from pmabench.plotting.chart import BLUE, BROWN, DARK, GREEN, QUIET
 from pmabench.plotting.pictures import column, has, unit_of, usable
+from pmabench.plotting.svg import capital
 from pmabench.plotting.wording import (
     POINTS,
     brief,
@@ -56,12 +57,8 @@ SHORT = {
 
 
 def statistics(analysis: Analysis) -> list[tuple[str, str]]:
-    """Up to four lines: trials used, residual against noise, fitted curves."""
+    """Up to four lines: residual against noise, fitted curves."""
     found = []
-    used, all_trials = analysis.facts.get("trials_used"), analysis.facts.get("trials")
-    if is_number(all_trials):
-        some = used if is_number(used) else all_trials - len(analysis.dropped)
-        found.append(("Trials", f"{some} of {all_trials} used"))
     residual = next((f.text for f in analysis.findings if f.text.startswith("residual ")), "")
     if residual:
         found.append(("Residual", printed(brief(residual.removeprefix("residual "), 120))))
@@ -93,7 +90,7 @@ def checks(analysis: Analysis) -> list[tuple[str, str, str]]:
 def findings(tests: Sequence[Analysis], failed: Sequence[str]) -> list[str]:
     """What costs most, at most three."""
     found, _ = costliest(tests, failed)
-    return [f"{text[:1].upper()}{text[1:]}" for text in (brief(printed(text), LONGEST) for text in found)]
+    return [capital(brief(text, LONGEST)) for text in found]
 
 
 COLORS = {"repeats": BLUE, "calibration": BROWN, "method": GREEN, "drift": QUIET, "skew": DARK}

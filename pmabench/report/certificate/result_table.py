@@ -9,10 +9,10 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from pmabench.plotting.wording import clean, number, point_shown, rounded, shown, symbol_text
+from pmabench.plotting.wording import clean, number, point_shown, printed, rounded, shown, symbol_text
 from pmabench.report.certificate.force_chart import slopes_of
 from pmabench.report.document.tables import cell, matrix_table, two_coordinates
-from pmabench.report.foremost import reasons, richest
+from pmabench.report.foremost import reasons, richest, without_comparison
 from pmabench.report.words import declared
 from pmabench.store.analyses.results import AGREEMENT, Analysis, Estimate
 
@@ -74,7 +74,7 @@ def result_table(analyses: Sequence[Analysis]) -> tuple[ResultTable, list[Estima
         mine = [by[place, s] for s in kept if (place, s) in by]
         at = [Value(number(v / point_shown(name)[1].scale)) for name, v in zip(points, place, strict=True)]
         rows.append([*at, *(columns[s][n] for s in kept), Value(str(max(e.n for e in mine)) if mine else "0")])
-    notes = [clean(note, 160) for note in reasons([by[p, s] for p in chosen for s in kept if (p, s) in by])]
+    notes = [clean(printed(note), 160) for note in reasons([by[p, s] for p in chosen for s in kept if (p, s) in by])]
     if slopes := _slopes(tests, members, [place[0] for place in chosen], over):
         notes.insert(0, slopes)
     if stride > 1:
@@ -130,7 +130,7 @@ def _letters(column: Sequence[Value], head: tuple[str, str]) -> int:
 def _whole(tests: Sequence[Analysis]) -> ResultTable:
     """Where no test has values at several places: its headline values, a row each; a place of all rows is a note."""
     results = declared(tests)
-    every = (e for analysis in tests for e in analysis.estimates)
+    every = (e for analysis in tests for e in without_comparison(analysis)[0])
     held = [e for e in every if not e.coordinate and e.symbol in results and results[e.symbol].headline][:MOST_ROWS]
     alike = {k: v for k, v in held[0].at.items() if all(e.at.get(k) == v for e in held[1:])} if len(held) > 1 else {}
 
@@ -146,7 +146,7 @@ def _whole(tests: Sequence[Analysis]) -> ResultTable:
         rows.append([*map(Value, named), *_aligned([cell(e)]), *map(Value, texts)])
     heads = [("", ""), ("quantity", ""), ("value ± U", ""), ("unit", ""), ("at", ""), ("n", "")]
     notes = [f"All at {where}"] if (where := placed(alike)) else []
-    notes += [clean(note, 160) for note in reasons(held)]
+    notes += [clean(printed(note), 160) for note in reasons(held)]
     return ResultTable(heads, rows, notes[:MOST_NOTES], frozenset(e.symbol for e in held)) if rows else ResultTable()
 
 

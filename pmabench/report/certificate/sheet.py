@@ -14,15 +14,15 @@ from functools import partial
 import numpy as np
 
 from pmabench.plotting.pictures import Picture, drawable
-from pmabench.plotting.wording import brief, clean, number, printed, spoken
+from pmabench.plotting.svg import capital
+from pmabench.plotting.wording import brief, clean, number, spoken
 from pmabench.report.certificate import quality
 from pmabench.report.certificate.force_chart import force_picture, stroke_picture
 from pmabench.report.certificate.quality import Coverage, Sources, coverage, sources
 from pmabench.report.certificate.result_table import ResultTable, result_table
 from pmabench.report.document import provenance
-from pmabench.report.document.tables import two_coordinates
 from pmabench.report.figures import coefficient_picture, front_pictures, surface_picture
-from pmabench.report.foremost import Verdict, how_well, left_out, tiles_of
+from pmabench.report.foremost import Verdict, how_well, left_out, tiles_of, without_run
 from pmabench.report.words import described, kind_title
 from pmabench.store.analyses.results import AGREEMENT, Analysis, Estimate, Trace
 from pmabench.store.records import RunData
@@ -92,7 +92,9 @@ def sheet_of(
     return Sheet(
         item=item,
         about=about,
-        sentence=_sentence(verdict, main, how_well(members, over) if members else "", failed),
+        sentence=_sentence(
+            verdict, main, how_well(members, over) if members else "", [without_run(text, tests) for text in failed]
+        ),
         columns=_columns(tests, main, runs),
         table=table,
         table_title=title,
@@ -142,9 +144,9 @@ def _pictures(
     analyses = [_followed(drawable(a)) for a in analyses]
     found: list[Picture] = []
     used: list[str] = []
-    across = two_coordinates(members, over)
-    draw = partial(surface_picture, across=across) if across else coefficient_picture
-    several = len({name for e in members for name in e.at} - {"mass"}) > 2  # dots of all places would lie in a heap
+    across = sorted({name for e in members for name in e.at} - {over, "mass"})
+    draw = partial(surface_picture, across=across[0]) if across else coefficient_picture
+    several = len(across) > 1  # dots of all places would lie in a heap
     panels = draw(analyses, members, over, less=less) if members and not several else None
     found += [panels] if panels else []
     force = force_picture(analyses, less)
@@ -181,7 +183,7 @@ def _item(runs: Sequence[RunData]) -> tuple[str, str]:
         return "Pneumatic muscle", ""
     name, about = known[0]
     if name == provenance.UNNAMED:
-        return f"{name[:1].upper()}{name[1:]}", "type and serial number are not recorded"
+        return capital(name), "type and serial number are not recorded"
     head, _, serial = name.partition(", serial ")
     size = [
         part
@@ -195,8 +197,8 @@ def _sentence(verdict: Verdict, main: Analysis | None, known: str, failed: Seque
     """How well, in what range, what was left out; first of all why not, where it is not good."""
     parts = []
     if verdict.level != "good":
-        why = brief(printed(failed[0]), 200) if failed else verdict.text.rstrip(".")
-        parts.append(f"{why[:1].upper()}{why[1:]}.".replace("….", "…"))
+        why = brief(failed[0], 200) if failed else verdict.text.rstrip(".")
+        parts.append(f"{capital(why)}.".replace("….", "…"))
     if known:
         parts.append(f"{known} (95 % intervals).")
     elif verdict.level == "good":
@@ -205,7 +207,7 @@ def _sentence(verdict: Verdict, main: Analysis | None, known: str, failed: Seque
         count = "1 trial is" if len(main.dropped) == 1 else f"{len(main.dropped)} trials are"
         parts.append(f"{count} left out: {left_out(main.dropped)}.")
     text = " ".join(part.replace("..", ".") for part in parts)
-    return text if known else f"{text[:1].upper()}{text[1:]}"
+    return text if known else capital(text)
 
 
 def _columns(tests: Sequence[Analysis], main: Analysis | None, runs: Sequence[RunData]) -> list[tuple[str, list[str]]]:

@@ -176,11 +176,15 @@
     ctx.restore();
     [names, firsts].forEach(function (list) {
       list.sort(function (a, b) { return a.y - b.y; });
-      for (var round = 0; round < 60; round++)
+      var low = box.top + box.height - 5 * p;
+      for (var round = 0; round < 80; round++) {
         for (var n = 0; n + 1 < list.length; n++) {
-          var lack = 13 * p - (list[n + 1].y - list[n].y);
-          if (lack > 0) { list[n].y -= lack / 2; list[n + 1].y += lack / 2; }
+          var one = list[n], next = list[n + 1], lack = 13 * p - (next.y - one.y);
+          var wide = 7 * p * Math.max(one.text.length, next.text.length);
+          if (lack > 0 && !(Math.abs(next.x - one.x) >= wide)) { one.y -= lack / 2; next.y += lack / 2; }
         }
+        list.forEach(function (name) { name.y = Math.min(Math.max(name.y, box.top + 2 * p), low); });
+      }
     });
     if (u.scales.x.min <= chart.range[0]) firsts.forEach(function (name) {
       write(ctx, name.text, box.left - 6 * p, name.y, 11.5 * p, name.color, true, true);
