@@ -226,7 +226,7 @@ def test_the_charts_show_the_values_of_the_table(content, page_text):
     assert (dots["y"][at], dots["half"][at]) == (7.552, 0.021)
     methods = {s.get("method") for c in data[0]["charts"] for s in c["series"]}
     assert {"step-exponential", "static-mean"} <= methods, "other methods are there for the buttons"
-    assert page_text.count('class="still"') == len(content.figures)
+    assert page_text.count('class="still') == len(content.figures)
 
 
 def test_the_page_runs_its_own_scripts_only(page_text):

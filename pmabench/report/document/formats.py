@@ -91,7 +91,13 @@ class _Data:
             p, name = value.picture, f"figure-{value.n}.svg"
             (self.folder / name).write_text(as_file(p.svg, FONT), encoding="utf-8")
             about = self.plain({"title": p.title, "caption": p.caption, "alt": p.alt})
-            return about | {"n": value.n, "file": name, "wide": p.wide, "charted": p.wide and p.height < TALL}
+            return about | {
+                "n": value.n,
+                "file": name,
+                "wide": p.wide,
+                "charted": p.wide and p.height < TALL,
+                "height": p.height,
+            }
         elif isinstance(value, Said):
             return _note(value)
         elif isinstance(value, Sheet):
