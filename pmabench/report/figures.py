@@ -459,9 +459,9 @@ def surface_picture(
     The axis is that with more places, or else `across`; lower by `less` [pt]. None where no symbol is known at two
     places.
     """
-    methods = {e.method for e in members}
-    every = [e for a in analyses for e in a.estimates if e.method in methods and e.value is not None]
-    known = [e for e in every if set(e.at) - {"mass"} == {over, across}]
+    own = {e.symbol: e.method for e in members}
+    every = [e for a in analyses for e in a.estimates if e.value is not None and set(e.at) - {"mass"} == {over, across}]
+    known = [e for e in every if e.method in own.values() and e.method == own.get(e.symbol, e.method)]
     if len({e.at[over] for e in known}) > len({e.at[across] for e in known}):
         over, across = across, over
     order = [symbol for symbol in declared(analyses) if len([e for e in known if e.symbol == symbol]) > 1][:PANELS]
@@ -470,14 +470,14 @@ def surface_picture(
     width = (PAGE - GAP * (len(order) - 1)) / len(order)
     simulated = any(a.simulated for a in analyses)
     drawn = [[e for e in known if e.symbol == symbol] for symbol in order]
+    shown_ones = [e for mine in drawn for e in mine]
     names = " and ".join(f"{declared(analyses)[symbol].title} {symbol}" for symbol in order)
     title = f"{capital(names)} over {spoken(across)}, at each {spoken(over)}"
     size = width, HIGHER - less - _second_line(title)
     charts = tuple(_surface_chart(mine, over, across, size) for mine in drawn)
-    caption = f"Dots: {listed([clean(method, 60) for method in dict.fromkeys(e.method for e in members)])}"
-    caption += f"{'; bars: 95 % intervals' if any(e.ci95 for e in known) else ', without intervals'}."
-    table = table_of([e for mine in drawn for e in mine], over)
-    return of_charts([charts], title, caption, table, simulated=simulated)
+    caption = f"Dots: {listed([clean(method, 60) for method in dict.fromkeys(e.method for e in shown_ones)])}"
+    caption += f"{'; bars: 95 % intervals' if any(e.ci95 for e in shown_ones) else ', without intervals'}."
+    return of_charts([charts], title, caption, table_of(shown_ones, over), simulated=simulated)
 
 
 def _surface_chart(known: Sequence[Estimate], over: str, across: str, size: tuple[float, float]) -> Chart:

@@ -320,6 +320,14 @@ def test_values_at_two_coordinates_are_drawn_over_that_with_more_places_each_oth
     assert {"P [kPa]", "x [mm]"} <= set(picture.table.columns)
 
 
+def test_a_range_begins_at_0_where_a_unit_leaves_a_rounding_error():
+    """"Outside P 5.821e-14 to 360 kPa", of an imported command in mA."""
+    plain = samples.sine()
+    e = next(e for e in plain.estimates if e.symbol == "K")
+    analysis = replace(plain, estimates=tuple(replace(e, at={"pressure": P}) for P in (5.8e-11, 360e3)))
+    assert dict(limits(analysis, [], []))["Range"] == "outside P 0 to 360 kPa"
+
+
 def test_what_other_methods_say_is_not_among_the_values():
     """With one operating point the table had B and F_c twice, and did not say that the others are for comparison."""
     plain = samples.sine()

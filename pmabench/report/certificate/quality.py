@@ -23,6 +23,7 @@ from pmabench.plotting.pictures import column, has, unit_of, usable
 from pmabench.plotting.svg import capital
 from pmabench.plotting.wording import (
     POINTS,
+    RESOLVED,
     brief,
     clean,
     in_order,
@@ -268,7 +269,8 @@ def _range(analysis: Analysis | None, runs: Sequence[RunData]) -> Line | None:
     for name in in_order((key for point in points for key in point if key in POINTS), POINTS):
         values = [point[name] for point in points if is_number(point.get(name))]
         if name not in FOLLOWING and values:
-            parts.append(span(name, values, " "))
+            least = RESOLVED * max(map(abs, values))  # a zero of another unit may be a rounding error
+            parts.append(span(name, [value if abs(value) > least else 0.0 for value in values], " "))
     return ("Range", f"outside {', '.join(parts[:MOST_RANGES])}") if parts else None
 
 

@@ -193,7 +193,7 @@ function buildPlot(channel) {
   $('curves').append(host);
   const c = colour(colourOf(channel.name)), line = {stroke: c, width: 1.4, points: {show: false}};
   const u = new uPlot({
-    width: widthOf(host), height: heightOf(), legend: {show: false}, padding: [6, 10, 0, 0],
+    width: widthOf(host), height: heightOf(), legend: {show: false}, padding: [6, 18, 0, 0],
     scales: {x: {time: false, range: () => bounds()}, y: {range: rangeOf(channel)}},
     axes: [{...axis(), size: 26, incrs: TICKS, space: 60, values: (_u, all, _i, _s, step) => all.map(t => t < 0 ? '' : step < 1 ? `${clock(t)}${(t % 1).toFixed(step < 0.1 ? 2 : 1).slice(1)}` : clock(t))},
       {...axis(), size: 56}],
