@@ -51,8 +51,8 @@ PRESSED = {
 }
 
 
-class Terminate(Exception):
-    """A signal ends the display."""
+class Terminate(BaseException):
+    """A signal ends the display; not an Exception, for what catches any of them must not go on."""
 
     def __init__(self, number: int) -> None:
         self.number = number

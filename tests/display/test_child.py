@@ -15,6 +15,7 @@ from contextlib import suppress
 import pytest
 
 from pmabench.display.child import MOST, Display, Link
+from pmabench.display.console import Terminate, tidy_signals
 from tests.display.recorded import Recorded
 
 PATIENCE = 60.0
@@ -280,3 +281,9 @@ def test_a_terminal_that_changes_its_size_is_drawn_anew(terminal):
     terminal.seen = b""
     terminal.drawn("\x1b[2J")
     terminal.drawn("measured pressure")
+
+
+def test_a_signal_is_not_lost_in_code_that_catches_every_exception():
+    with pytest.raises(Terminate), tidy_signals(child=True), suppress(Exception):
+        os.kill(os.getpid(), signal.SIGHUP)
+        signal.sigtimedwait([signal.SIGUSR1], 1.0)  # the handler runs here at the latest
