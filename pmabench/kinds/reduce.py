@@ -14,6 +14,7 @@ from pmabench.analysis.shared.regulated import regulated, vented
 from pmabench.analysis.shared.samples import with_motion
 from pmabench.analysis.shared.saturated import saturated
 from pmabench.analysis.shared.signals import without_spikes
+from pmabench.analysis.shared.sound import sound
 from pmabench.analysis.shared.trials import grouped, session_of, six_digits
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.analysis.verdict.acceptance import not_accepted, not_accepted_as_form
@@ -26,7 +27,7 @@ from pmabench.base.kind import Kind, load
 from pmabench.base.quantities import show
 from pmabench.base.text import clean
 from pmabench.kinds import registry
-from pmabench.store.analyses.results import POINT_QUANTITIES, Analysis, Dropped, Estimate
+from pmabench.store.analyses.results import POINT_QUANTITIES, Analysis, Estimate
 from pmabench.store.records import RunData, TrialData
 
 MOST_REASONS = 3
@@ -128,9 +129,7 @@ def compared(analyses: Sequence[Analysis]) -> Analysis | None:
 def _reduced(kind: str, runs: Sequence[RunData], options: Mapping[str, Any] | None) -> Analysis:
     """The reduction of a kind, with the checks of its trials."""
     record = registry.kind_of(kind)
-    empty = [Dropped(t.name, t.point, "no sample was recorded") for run in runs for t in run.trials if not len(t.t)]
-    if empty:
-        runs = [replace(run, trials=tuple(trial for trial in run.trials if len(trial.t))) for run in runs]
+    runs, unsound = sound(runs)
     analysis = record.part("reduction")(runs, options)
     poor = not _given(analysis) or any(e.withheld for e in analysis.estimates)
     if poor and (found := without_spikes(runs))[1]:
@@ -140,7 +139,7 @@ def _reduced(kind: str, runs: Sequence[RunData], options: Mapping[str, Any] | No
     sessions = list(grouped(runs, session_of).values())
     if len(sessions) > 1 and FORM not in record.parts:
         analysis = with_sessions(analysis, [record.part("reduction")(one, options) for one in sessions])
-    analysis = replace(analysis, dropped=(*analysis.dropped, *empty))
+    analysis = replace(analysis, dropped=(*analysis.dropped, *unsound))
     count = max((side_by_side(run.manifest.get("specimen")) for run in runs), default=1)
     analysis = without_diameter(analysis, count)
     analysis = with_motion(with_checks(analysis, record, runs), runs, record.moves)

@@ -321,7 +321,7 @@ def test_values_at_two_coordinates_are_drawn_over_that_with_more_places_each_oth
 
 
 def test_a_range_begins_at_0_where_a_unit_leaves_a_rounding_error():
-    """"Outside P 5.821e-14 to 360 kPa", of an imported command in mA."""
+    """ "Outside P 5.821e-14 to 360 kPa", of an imported command in mA."""
     plain = samples.sine()
     e = next(e for e in plain.estimates if e.symbol == "K")
     analysis = replace(plain, estimates=tuple(replace(e, at={"pressure": P}) for P in (5.8e-11, 360e3)))

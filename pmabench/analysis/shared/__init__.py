@@ -1,7 +1,7 @@
 """Parts of reductions: selecting trials, fitting lines, effects of instruments on a result.
 
-- `trials` (the course of a reduction, operating points, repeats, reference trials, sessions), `samples` of one trial
-  (noise, motion, onset, rest), `gaps` (what missing samples hide)
+- `sound` (what every reduction relies on), `trials` (the course of a reduction, operating points, repeats, reference
+  trials, sessions), `samples` of one trial (noise, motion, onset, rest), `gaps` (what missing samples hide)
 - `lines` (weighted lines and their intervals, least squares for many values of one parameter), `student` (quantiles,
   means with half widths)
 - `isometric_lines` (F over P at a contraction), `ramp_loop` (loops of a driven end, or of a joint; delays at their

@@ -184,7 +184,7 @@ def trace(fitted: Fitted, *, compare: bool) -> Trace:
     points = {"pressure": one.pressure, "angle": one.mean, "below": one.up.mean(axis=0), "above": one.down.mean(axis=0)}
     curves = {"pressure": P}
     if fitted.up is not None and fitted.up.converged:
-        curves["fit"] = fitted.up.band({"pressure": np.minimum(P, HIGHEST)})[0]
+        curves["fit"] = fitted.up.band({"pressure": np.clip(P, 0.0, HIGHEST)})[0]
     if compare:
         curves["model"] = paper_angle(P, one.mass)
     none, blank = np.full(len(one.pressure), np.nan), np.full(CURVE, np.nan)

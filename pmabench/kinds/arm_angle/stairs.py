@@ -294,6 +294,8 @@ def measure(trial: TrialData, settings: Mapping[str, Any]) -> Stair:
     refuse_incomplete(trial, channel, "pressure")
     if "tip_mass" not in trial.point:
         raise NotUsable("its point names no load at the arm's end")
+    if trial.point["tip_mass"] < 0:
+        raise NotUsable("its point names a load below 0 at the arm's end")
     if channel == "displacement" and not radius > 0:
         raise NotUsable("the plan gives no radius for an angle from the displacement")
     P, arc = trial.channels["pressure"], trial.channels.get("displacement", np.full(trial.t.shape, np.nan)) / radius
@@ -415,12 +417,11 @@ def _drift(y: Array) -> float:
 
 
 def flat_from(P: Array, angle: Array) -> float | None:
-    """Highest pressure [Pa] at which `angle` [rad] is `NEAR` below its last and largest value; None if it never is.
-
-    By monotone cubics.
+    """Highest pressure [Pa] at which `angle` [rad] is `NEAR` below its last and largest value; None if it never is, or
+    where the measured pressure does not rise. By monotone cubics.
     """
     low = np.flatnonzero(angle < angle[-1] - NEAR)
-    if not len(low):
+    if not len(low) or not (np.diff(P) > 0).all():
         return None
     above = PchipInterpolator(P, angle - (angle[-1] - NEAR))
     return float(brentq(lambda at: float(above(at)), P[low[-1]], P[low[-1] + 1]))

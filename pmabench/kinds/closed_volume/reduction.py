@@ -47,6 +47,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     def stroke_of(run: RunData, trial: TrialData, asked: Mapping[str, Any]) -> Stroke:
         if settings_of(run, asked) != settings:
             raise NotUsable("its volumes, room or contractions are not those of the first run")
+        if "pressure" not in trial.point:
+            raise NotUsable("its point names no pressure")
         return measure(run, trial, settings)
 
     result = Reduction.of(KIND, RESULTS, runs, options, stroke_of)

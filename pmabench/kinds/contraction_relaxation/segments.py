@@ -115,7 +115,7 @@ class Segments:
 
     def within(self, knots: Array) -> Segments:
         """Those in the pressure range of a fit with these knots [Pa]."""
-        low, high = knots[0] - 1e3, knots[-1] + (knots[-1] - knots[-2])
+        low, high = knots[0] - 1e3, knots[-1] + float(np.ptp(knots[-2:]))
         rows = (self.P.min(axis=1) >= low) & (self.P.max(axis=1) <= high)
         return self if rows.all() else self.where(rows)
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 
 import numpy as np
 from numpy.typing import NDArray
@@ -160,7 +161,7 @@ def _path(member: Member) -> tuple[Array, Array]:
         if knots and len(trial.t) and trial.t[0] < knots[-1][0] - LATE:
             knots = []  # this trial has another clock
         ramps = [c for c in trial.commands if c.output == "displacement" and c.kind == "ramp"]
-        for c, next_one in zip(ramps, [*ramps[1:], None], strict=True):
+        for c, next_one in zip_longest(ramps, ramps[1:]):
             later = float(trial.t[-1]) if next_one is None else next_one.t
             knots += [(c.t, c.before), (ends(c) if c.data.get("rate", 0.0) > 0 else later, c.value)]
         if trial.name == member.trial.name:

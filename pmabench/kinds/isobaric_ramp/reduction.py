@@ -20,6 +20,7 @@ from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.form import without_negative_friction
 from pmabench.analysis.shared.lines import mean_of_cycles
 from pmabench.analysis.shared.ramp_loop import measure_as_planned
+from pmabench.analysis.shared.samples import NotUsable
 from pmabench.analysis.shared.trials import Reduction, grouped
 from pmabench.analysis.verdict.agreement import Offer, Place, at_pressures, between, everywhere, values_of
 from pmabench.base.quantities import show
@@ -28,7 +29,7 @@ from pmabench.kinds.isobaric_ramp.cell import CURVE, GAP, LOCAL, Cell, Member, i
 from pmabench.kinds.isobaric_ramp.coefficients import judged, of_curve, of_gap
 from pmabench.kinds.isobaric_ramp.creep import creeps_of
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace
-from pmabench.store.records import Array, RunData
+from pmabench.store.records import Array, RunData, TrialData
 
 ONE_CYCLE = (
     "one cycle does not show whether the muscle creeps, and K holds what does: count two cycles and more"
@@ -158,6 +159,12 @@ UNPRESSED = 1.0
 """Set pressure up to which a loop is of the rubber alone [Pa]."""
 
 
+def _measured(run: RunData, trial: TrialData, _options: Mapping[str, Any]) -> Member:
+    if trial.point.get("speed", 1.0) <= 0:
+        raise NotUsable("its point names a speed of 0")
+    return Member(run, trial, measure_as_planned(run, trial))
+
+
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
     """Mean curve F(x), K [N/m], F_ce [N], gap H [N] and work [J] of slow ramps at constant pressure (paper 3).
 
@@ -169,9 +176,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     The plan's settings, or the map's, have `discard` (cycles at the start; else 1) and `turn` [m] (left out at both
     ends; else a twentieth of the stroke).
     """
-    result = Reduction.of(
-        KIND, RESULTS, runs, None, lambda run, trial, _: Member(run, trial, measure_as_planned(run, trial))
-    )
+    result = Reduction.of(KIND, RESULTS, runs, None, _measured)
     scales, cells = result.scales, _cells(result.measured)
     for cell, creep in zip(cells, creeps_of(cells), strict=True):
         near = _next_to(cell, cells)

@@ -161,7 +161,7 @@ class Section:
 def fit(slopes: Slopes, D_0: float | None = None) -> Section | None:
     """The curve through slopes, with all parameters free or D0 [m] given; None if there is none."""
     free = 3 if D_0 is None else 2
-    if len(slopes.S) < free or len(np.unique(np.round(slopes.eps, 6))) < free:
+    if len(slopes.S) < free or len(np.unique(np.round(slopes.eps, 6))) < free or (slopes.eps >= 1).any():
         return None
 
     def power(value: float) -> float:

@@ -38,8 +38,8 @@ PARTS = (0.15, 0.55, 0.95)
 FEWEST = 20
 SEEN = 5.0
 """Standard errors from which on a difference is significant."""
-SAME_FLOW = 1e-9
-"""Flows closer than this share of the range count as equal."""
+SAME_FLOW, ROUNDING = 1e-9, 1e-9
+"""Flows closer than this share of the range, and pressures closer than this share of their value, count as equal."""
 PILED, UNSEEN = 0.25, 0.005
 """Share of samples at exactly one value from which on the meter stays there; of a ramp at the value of a rest."""
 STILL = (
@@ -92,6 +92,8 @@ def measured(trial: TrialData, rT: float) -> Filling:
     moved = [ends(c) for c in trial.commands if "fill" in ramps and c.kind == "ramp" and c.t < ramps["fill"].t - 1e-9]
     if len(ramps) < 2:
         raise NotUsable("it holds no ramp up and down")
+    if "contraction" not in trial.point:
+        raise NotUsable("its point names no contraction")
     fill, empty = ramps["fill"], ramps["empty"]
     later = [c.t for c in trial.commands if c.t > ends(empty) + 1e-9]
     use = trial.usable & np.isfinite(trial.channels[FLOW]) & np.isfinite(trial.channels["pressure"])
@@ -114,7 +116,7 @@ def measured(trial: TrialData, rT: float) -> Filling:
     middle = float(t[before].mean()), float(t[after].mean())
     shown, q = q, q - np.interp(t, middle, zeros)
     levels = [float(P[rows].mean()) for rows in (before, top, after)]
-    if levels[1] - max(levels[0], levels[2]) <= 20 * noise_of(P[top]):
+    if levels[1] - max(levels[0], levels[2]) <= 20 * noise_of(P[top]) + ROUNDING * abs(levels[1]):
         raise NotUsable("the pressure does not rise along the ramp")
     if _stays(shown[up][_middle(P[up])], (shown[before], shown[after]), float(shown.min())):
         raise NotUsable(STILL)

@@ -287,7 +287,7 @@ def _sides(cells: Sequence[Cell]) -> Iterator[Estimate]:
         by: dict[object, dict[float, float]] = {}
         for test, F in zip(cell.tests, each, strict=True):
             side = test.trial.point.get("side")
-            if side and np.isfinite(F).all():
+            if side and len(F) and np.isfinite(F).all():
                 by.setdefault((test.run.id, test.trial.repeat), {})[side] = float(F.mean())
         halves = [0.5 * (sides[1.0] - sides[-1.0]) for sides in by.values() if {1.0, -1.0} <= set(sides)]
         if halves:

@@ -220,6 +220,8 @@ def course_of(run: RunData, trial: TrialData, higher: float = 0.0) -> Course:
     noise = max(noise_of(angle) for angle in angles) * math.sqrt(1 / run.rate / (4 * lag))
     phi, psi = (both_ways(angle, lag, run.rate) for angle in angles)
     goal = trial.point["phi"], trial.point["psi"]
+    if not any(goal):
+        raise NotUsable("its point names no attitude to go to: phi and psi are 0")
     steered = [pulse for data in _steered(run, trial) for pulse in data["pulses"]]
     pulses = tuple((float(t) - begin, str(valve), float(seconds)) for t, valve, seconds in steered)
     return Course(run, trial, trial.t - begin, phi, psi, goal, float(settings["hold"]), noise, pulses, law)

@@ -190,7 +190,7 @@ def _one(
     new = good & samples.fresh(trial.channels["force"])  # noise of a held value would look like a motion
     early = new & (t >= 0.5 * (begin + ramp.t)) & (t < ramp.t - 1e-9)
     late = new & (t >= 0.5 * (arrived + end)) & (t < end)
-    known = bool(np.isfinite(P).all())
+    known = bool(np.isfinite(P[before | moving | rest]).all())
     # the measured motion is over when it stays within `THERE` of its end; not before the command
     beyond = t[moving][np.abs(x[moving] - float(x[after].mean())) > THERE * abs(moved)]
     still = rest & (t > (max(float(beyond[-1]), arrived) if len(beyond) else arrived))
