@@ -439,7 +439,7 @@ class Acquisition:
     def _hand_over(self, source: Source, pieces: Iterable[Piece]) -> None:
         for piece in pieces:
             self.counts["rows"] += len(piece.time_ns)
-            for name, flag in COUNTED.items() if piece.flags.any() else ():
+            for name, flag in COUNTED.items() if np.count_nonzero(piece.flags) else ():
                 self.counts[name] += int(np.count_nonzero(piece.flags & np.uint16(flag)))
             self._recorder.append(source.name, piece.time_ns, piece.columns, piece.flags, piece.host)
 
@@ -458,7 +458,7 @@ class Acquisition:
         for name, value in values.items():
             self.latest[name] = float(value[-1])
         flags = self._ranges.block(source.channels, values, extremes, len(time_ns))
-        if any(apart):
+        if apart:
             flags |= np.array(apart, dtype=np.uint16)
         if self.recording and source.recorded:
             self._hand_over(source, source.pieces(time_ns, raw, flags, self._arrival(host)))

@@ -149,12 +149,12 @@ class Spacing:
     def look(self, time_ns: Sequence[int] | NDArray[np.int64]) -> tuple[list[int], list[int]]:
         """Flags of the samples that were open, oldest first, and those of the samples at `time_ns`.
 
-        0 where a sample is still open.
+        0 where a sample is still open. Both are empty where no sample is late, missing or open.
         """
+        if isinstance(time_ns, np.ndarray) and self._even(time_ns):
+            return [], []
         were = self.open
         flags = [0] * were
-        if isinstance(time_ns, np.ndarray) and self._even(time_ns):
-            return flags, [0] * len(time_ns)
         for time in time_ns:
             step = 1.0 if self._last is None else (time - self._last) / self._period
             self._last = time
@@ -226,9 +226,8 @@ class Ranges:
                 if channel.raw_type != "int32":
                     inside = (value >= channel.low) & (value <= channel.high)
                 flags[~inside] |= np.uint16(Flag.OVERRANGE)
-        force = values.get("force")
-        if self._slack_below > 0 and force is not None:
-            flags[force < self._slack_below] |= np.uint16(Flag.SLACK)
+        if self._slack_below > 0 and "force" in values and not extremes["force"][0] >= self._slack_below:
+            flags[values["force"] < self._slack_below] |= np.uint16(Flag.SLACK)
         return flags
 
     def one(self, channels: Iterable[ChannelRecord], values: Mapping[str, float]) -> int:

@@ -7,7 +7,6 @@ Two hidden files reserve space from the start: `.seal.json.part` is overwritten 
 
 from __future__ import annotations
 
-import hashlib
 import json
 import mmap
 import os
@@ -17,6 +16,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from io import BufferedWriter
+from itertools import islice, zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -42,23 +42,22 @@ def archive(live: Path, target: Path) -> tuple[int, str, bool]:
         with live.open("rb") as file:
             source = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)  # closed with the last batch on it
         reader = LiveReader(pa.py_buffer(source))
-        digests = _write(part, reader, source)
+        _write(part, reader, source)
         arrivals = reader.arrivals
         with part.open("r+b") as file:
             os.fsync(file.fileno())
         with pq.ParquetFile(part) as written:
             same = _arrivals_of(written) == arrivals
-        if not same or digests != [_digest(table) for table in _row_groups(part)]:
+        if not same or not _is_copy(part, reader, source):
             raise ValueError("what was read back is not what was written")
     return reader.rows, reader.fault, reader.torn
 
 
-def _write(part: Path, reader: LiveReader, source: mmap.mmap) -> list[bytes]:
-    """Write the batches; returns the digest of each row group. Pages of `source` are released from memory."""
+def _write(part: Path, reader: LiveReader, source: mmap.mmap) -> None:
+    """Write the batches as row groups."""
     schema = reader.schema
     integers = [field.name for field in schema if pa.types.is_signed_integer(field.type)]
     others = [field.name for field in schema if pa.types.is_unsigned_integer(field.type)]  # flags: few different values
-    digests = []
     with pq.ParquetWriter(
         part,
         schema,
@@ -69,12 +68,36 @@ def _write(part: Path, reader: LiveReader, source: mmap.mmap) -> list[bytes]:
     ) as writer:
         for table in _tables(reader, schema):
             writer.write_table(table, row_group_size=GROUP)
-            digests.append(_digest(table))
-            if hasattr(source, "madvise"):
-                source.madvise(mmap.MADV_DONTNEED)
+            _release(source)
         if reader.arrivals:
             writer.add_key_value_metadata({ARRIVALS: json.dumps(list(zip(*reader.arrivals, strict=True)))})
-    return digests
+
+
+def _release(source: mmap.mmap) -> None:
+    """Release the pages of a file from memory; they are read anew when they are needed again."""
+    if hasattr(source, "madvise"):
+        source.madvise(mmap.MADV_DONTNEED)
+
+
+def _is_copy(part: Path, reader: LiveReader, source: mmap.mmap) -> bool:
+    """Whether a Parquet file has the same bytes as the complete batches that `reader` found in `source`."""
+    batches = islice(pa.ipc.open_stream(pa.py_buffer(source)), reader.batches)
+    for table, again in zip_longest(_tables(batches, reader.schema), _row_groups(part)):
+        if table is None or again is None or not all(map(_same_bytes, table.columns, again.columns)):
+            return False
+        _release(source)
+    return True
+
+
+def _same_bytes(column: Any, again: Any) -> bool:
+    """Whether two columns have the same bytes, also where they are cut into other pieces."""
+    found, place = pa.py_buffer(raw_bytes(again.combine_chunks())), 0
+    for chunk in column.chunks:
+        piece = pa.py_buffer(raw_bytes(chunk))
+        if not found[place : place + piece.size].equals(piece):
+            return False
+        place += piece.size
+    return bool(place == found.size)
 
 
 def _arrivals_of(file: Any) -> list[tuple[int, int]]:
@@ -96,13 +119,6 @@ def _tables(batches: Iterable[Any], schema: Any) -> Iterator[Any]:
             waiting, rows = table.slice(whole).to_batches(), rows - whole
     if rows:
         yield pa.Table.from_batches(waiting, schema)
-
-
-def _digest(table: Any) -> bytes:
-    digest = hashlib.sha256()
-    for chunk in (chunk for column in table.columns for chunk in column.chunks):
-        digest.update(raw_bytes(chunk))
-    return digest.digest()
 
 
 def _row_groups(path: Path) -> Iterator[Any]:

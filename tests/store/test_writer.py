@@ -13,10 +13,12 @@ import time
 from datetime import UTC, datetime, timedelta, timezone
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
 from pmabench.base.errors import RecordError
+from pmabench.store import seal
 from pmabench.store.folder import AppendFile, check_name, open_json, run_name, status_of
 from pmabench.store.reader import open_run, read_stream
 from pmabench.store.seal import close_interrupted
@@ -401,6 +403,33 @@ def test_a_dead_run_is_closed_as_interrupted_with_all_that_is_whole(tmp_path):
     assert verify(folder) == []
 
 
+@pytest.mark.parametrize("what", ["time_ns", "pressure", "force", "flags", "a group", "rows", ""])
+def test_samples_that_the_disk_returns_otherwise_stay_in_the_live_file(tmp_path, monkeypatch, what):
+    """One bit of the last row, a lost group or lost rows: the file that was written first remains; nothing: the other."""
+    honest = seal._row_groups
+
+    def returned(path):
+        tables = list(honest(path))
+        last = tables.pop()
+        if what == "rows":
+            last = last.slice(0, len(last) - 1)
+        elif what in last.column_names:
+            values = last[what].to_numpy().copy()
+            values[-1:].view(np.uint8)[0] ^= 1
+            last = last.set_column(last.column_names.index(what), last.schema.field(what), pa.array(values))
+        return [*tables, *([] if what == "a group" else [last])]
+
+    monkeypatch.setattr(seal, "GROUP", 700)
+    monkeypatch.setattr(seal, "_row_groups", returned)
+    writer = begin(tmp_path)
+    record(writer)
+    writer.close("finished")
+    streams = {path.name for path in (writer.folder / "streams").iterdir()}
+    assert streams == {"daq.json", "daq.arrows" if what else "daq.parquet"}
+    monkeypatch.undo()
+    assert read_stream(writer.folder, raw=True)["force"].tolist() == block(0, 2000)[1]["force"].tolist()
+
+
 class _Died(BaseException):
     """The program ends here."""
 
@@ -408,7 +437,7 @@ class _Died(BaseException):
 @pytest.mark.parametrize(
     "place",
     [
-        "seal._digest",
+        "seal._is_copy",
         "seal.span_of",
         "folder.decode_lines",
         "folder.sha256_of",
