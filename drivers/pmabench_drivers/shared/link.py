@@ -197,6 +197,11 @@ class Flow:
         self._window: list[float] = []
         self._begun = self._before = -math.inf
 
+    @property
+    def rate(self) -> float:
+        """Lines a second, as measured in the first seconds; 0 until then."""
+        return (1 + FEWER) / self._period if self._period else 0.0
+
     def behind(self, now: float) -> float:
         """Lag of the lines [s] when one arrives at `now` [s]; 0 if within `slip`."""
         if not self._period:
