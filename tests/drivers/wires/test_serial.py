@@ -9,6 +9,7 @@ import time
 
 import pytest
 from pmabench_drivers.serial_ascii import SerialIndicator
+from pmabench_drivers.shared.serial_port import SerialPort
 
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError
@@ -200,25 +201,6 @@ def test_half_of_a_late_answer_is_no_answer(lost):
     assert list(device._samples.take().columns["force"]) == [21.0]
 
 
-@pytest.mark.parametrize(
-    ("sent", "times", "said"), [(200, 1, "200"), (100, 2, "200"), (100, 1, ""), (120, 1, ""), (50, 1, "")]
-)
-def test_lines_that_come_more_often_than_the_bench_file_says_end_the_run(sent, times, said):
-    """Lines of one piece are dated back by `rate`: at 200 lines a second behind an adapter of 16 ms by up to 6 ms too far.
-
-    An indicator set to twice the rate, and one that sends each line twice, were recorded without a word.
-    """
-    device, piece, seconds, adapter = SerialIndicator(gauge("/dev/none"), RealClock()), b"", 6, 0.016
-    arrives = adapter
-    for number in range(seconds * sent):
-        if number / sent > arrives:
-            device._listen(piece, arrives)
-            piece, arrives = b"", arrives + adapter * math.ceil((number / sent - arrives) / adapter)
-        piece += b"+012.345mm\r\n" * times
-    failure = str(device._failure or "")
-    assert (said in failure and "100 Hz" in failure) if said else not failure
-
-
 def test_a_port_that_takes_nothing_ends_in_time(tmp_path):
     """Nobody reads the other end: the terminal's buffer fills, and writing would block."""
     near, far = os.openpty()
@@ -238,6 +220,21 @@ def test_a_port_that_takes_nothing_ends_in_time(tmp_path):
     finally:
         os.close(near)
         os.close(far)
+
+
+def test_a_port_that_is_not_there_or_no_longer_is_said_once_with_what_to_do(tmp_path):
+    """The path stood there three times, and of a plug that was pulled out "returned no data (... multiple access?)"."""
+    hint, missing = "is it plugged in, and still at this address?", str(tmp_path / "nothing")
+    with pytest.raises(DeviceError) as raised:
+        SerialIndicator(cell(missing), RealClock()).open()
+    assert str(raised.value) == f"cell: cannot open {missing}: No such file or directory: {hint}"
+    near, far = os.openpty()
+    port = SerialPort("cell", os.ttyname(far), 9600, RealClock())
+    os.close(near)
+    with contextlib.closing(port), pytest.raises(DeviceError) as raised:
+        port.receive(bool, 1.0)
+    os.close(far)
+    assert str(raised.value).endswith(f": Input/output error: {hint}")
 
 
 def test_who_it_is_can_be_asked(tmp_path):
