@@ -111,6 +111,9 @@ def _end(outcome: Outcome, bench: CompiledBench, kind: str, trials: int) -> list
             lines += wrap(latched, 80, initial_indent="   ", subsequent_indent="   ", max_lines=4, placeholder=" …")
     if outcome.folder is not None:
         place = short(outcome.folder)
+        if not outcome.folder.is_dir():
+            lines.append(f"record  {place}")
+            return [*lines, "   is not there: it was moved or deleted during the run; bring it back"]
         lines.append(f"record  {place}   {outcome.rows:,} rows")
         again = "pmabench continue" if outcome.folder.parent.name == "runs" else f"pmabench continue {place}"
         lines.append(f"next    pmabench process {place}" if outcome.status in FINISHED else f"next    {again}")

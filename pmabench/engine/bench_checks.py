@@ -220,7 +220,8 @@ def prove(bench: CompiledBench, guard: AnyGuard, acquisition: Acquisition, recor
         measured = _measured(acquisition, names)
         raise LimitTripped(
             f"the proof test asked for {show(proof.pressure, 'pressure')}, and after {proof.fill:g} s {measured} is "
-            "measured: no supply, a shut valve, or the pressure channel is wired wrongly"
+            "measured: no supply, a shut valve, a dump valve that stays open (its plug, its pilot air, its "
+            '"energised"), or the pressure channel is wired wrongly'
         )
     _refuse_astray(bench, acquisition, proof, filled - asked)
     alone = _valves_alone(bench, guard, acquisition, proof)

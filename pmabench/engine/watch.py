@@ -60,7 +60,7 @@ class Trip:
             late = f" but old ones, which come {self.late:.2f} s late," if self.late else ""
             return f"{name} has given no sample for {self.value:.3f} s{late} {where}"
         if not np.isfinite(self.value):
-            return f"{name} reads {self.value} {where}: no valid value"
+            return f"{name} has no valid value {where}: out of its range, unplugged, or its sensor failed"
         shown = show(self.value, quantity)
         high = show(limit.high, quantity) if limit.high is not None else ""
         sentences = {

@@ -141,7 +141,10 @@ def parse_plates(value: object) -> tuple[int, float]:
     match = _COUNTED.fullmatch(str(value).strip())
     if match is None:
         raise ValueError(f'"{value}" is no plates, for instance "5 x 5 kg"')
-    return int(match[1]), parse_quantity(match[2], "mass")
+    mass = parse_quantity(match[2], "mass")
+    if mass <= 0:
+        raise ValueError(f'"{value}": a plate weighs more than nothing')
+    return int(match[1]), mass
 
 
 class AsText:

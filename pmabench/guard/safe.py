@@ -122,7 +122,7 @@ class _Watched:
         action, value = self.action, self.value
         name, within = f"{action.do} {action.target}", f"within {action.within:g} s"
         ago = f" {now - self.seen:.2g} s ago" * (now - self.seen > STAYS)
-        measured = "nothing measured" if value is None else _shown(action, value) + ago
+        measured = "nothing measured" if value is None or value != value else _shown(action, value) + ago
         if action.do == "rest":
             return f"{name}: {measured}, {'at rest' if good else f'and not at rest {within}'}"
         if good:

@@ -74,6 +74,17 @@ def test_a_dry_run_that_trips_says_so():
     assert next_of(end) == ["continue"]
 
 
+def test_a_record_that_was_deleted_meanwhile_is_not_called_one_to_go_on_with(tmp_path):
+    """It was printed with its rows and with a command that continues it."""
+    over = Outcome(
+        "error", "cannot write it", 7, Vent("confirmed", ()), tmp_path / "runs" / "gone_1a2b", 9.0, 10, (), {}
+    )
+    text = " ".join(_end(over, replace(BENCH, realtime=False), "step", 1))
+    assert "it was moved or deleted during the run; bring it back" in text
+    assert "rows" not in text
+    assert "continue" not in text
+
+
 @pytest.mark.parametrize(("left", "says"), [((), ""), ((UNANSWERED,), "; a command may still come: shut the supply")])
 def test_a_vent_after_which_a_command_may_come_is_no_plain_vented(left, says):
     """A set-point that was held up for 5.5 s filled the muscle to 400 kPa after "vented"."""

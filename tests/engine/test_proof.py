@@ -19,11 +19,11 @@ PERIOD = 0.005
 class Rig:
     """A muscle behind a regulator and a dump valve, as guard, acquisition, clock and recorder in one; lags of 60 ms."""
 
-    def __init__(self, gives=1.0, reads=1.0, absolute=0.0, connected=True, wide=1.0, exhausts=True):
+    def __init__(self, gives=1.0, reads=1.0, absolute=0.0, connected=True, wide=1.0, exhausts=True, shuts=True):
         self.gives, self.reads, self.absolute = gives, reads, absolute
         self.connected, self.wide, self.exhausts = connected, wide, exhausts
         self.t = self.target = self.P = 0.0
-        self.open = False
+        self.open = not shuts
         self.clock, self.commanded, self.latest, self.events = SimpleNamespace(now=lambda: self.t), self, {}, []
 
     def set(self, _name, *values):
@@ -80,6 +80,7 @@ WRONG = {
     "valve that is not connected": (Rig(connected=False), "the proof test of dump_valve failed"),
     "neither way": (Rig(connected=False, exhausts=False), "the proof test of dump_valve failed"),
     "no supply": (Rig(gives=0.0), "no supply"),
+    "a dump valve that stays open": (Rig(wide=9.0, shuts=False), r"a dump valve that stays open \(.*energised"),
 }
 
 

@@ -26,6 +26,7 @@ def test_what_is_no_number_trips_at_its_sample(limit, value):
     assert crossed(limit, [0.0, 0.0, value, 0.0]) == [2]
     (trip,) = Watch([limit]).look_once(1.0, {limit.channel: value})
     assert trip.t == 1.0
+    assert str(trip).startswith(f"{limit.channel} has no valid value at 1.000 s (rig.yaml")
 
 
 @pytest.mark.parametrize(("value", "trips"), [(599_999.0, False), (600e3, True), (600_001.0, True)])

@@ -75,6 +75,9 @@ def test_loads_are_masses_or_forces():
     with pytest.raises(ValueError, match="neither a mass nor a force"):
         parse_mass_or_force("3 kPa")
     assert parse_plates("5 x 2.5 kg") == (5, 2.5)
+    for mass in ("-5 kg", "0 kg"):  # one of -5 kg made loads that nobody can hang
+        with pytest.raises(ValueError, match="weighs more than nothing"):
+            parse_plates(f"10 x {mass}")
 
 
 @given(st.text(max_size=40))

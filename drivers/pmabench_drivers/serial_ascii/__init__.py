@@ -227,6 +227,8 @@ class LineReader:
 
 OPEN = 1.5
 """Longest wait at `open` for a first readable line [s]."""
+QUICKER = 1.5
+"""Lines that come so many times as often as `rate` says are an error: those that wait in a buffer are dated by it."""
 PATIENCE = 0.5
 """Time, and at least three lines, without a readable line after which `collect` raises an error [s]."""
 
@@ -349,6 +351,9 @@ class SerialIndicator(Polled[sp.SerialPort]):
             if behind := self._flow.behind(now):
                 text = "fewer come than at first: they wait in a converter or on the way, or it was set otherwise"
                 self._failure = self._error(f"its lines are {behind:.1f} s late: {text}")
+            if (sent := self._flow.rate) > QUICKER * self._rate:
+                text = f'sends {sent:.3g} lines a second and "rate" is {self._rate:g} Hz: their times would be wrong'
+                self._failure = self._error(f"{text}; set the indicator back, or write the rate that it sends at")
 
     # -- both -----------------------------------------------------------------------------------------------------
 

@@ -5,7 +5,9 @@ Uses no connection. Standard library only.
 
 from __future__ import annotations
 
+import errno
 import math
+import os
 import threading
 from abc import ABC, abstractmethod
 from array import array
@@ -197,6 +199,11 @@ class Flow:
         self._window: list[float] = []
         self._begun = self._before = -math.inf
 
+    @property
+    def rate(self) -> float:
+        """Lines a second, as measured in the first seconds; 0 until then."""
+        return (1 + FEWER) / self._period if self._period else 0.0
+
     def behind(self, now: float) -> float:
         """Lag of the lines [s] when one arrives at `now` [s]; 0 if within `slip`."""
         if not self._period:
@@ -259,8 +266,18 @@ def who(
     return Identity(maker, model, serial, firmware, model.startswith(EMULATED), clock, answers)
 
 
+GONE = (errno.ENOENT, errno.ENODEV, errno.ENXIO, errno.EIO)
+"""Errors of a port that is not there, or no longer."""
+
+
 def reason(error: Exception) -> str:
-    """Why a port or a connection failed, in the words of the operating system if it has any."""
+    """Why a port or a connection failed, in the words of the operating system if it has any.
+
+    pyserial has the path twice in its own words, and says that of an unplugged port which returns no data.
+    """
+    number = getattr(error, "errno", None) or (errno.EIO if "returned no data" in str(error) else 0)
+    if number in GONE:
+        return f"{os.strerror(number)}: is it plugged in, and still at this address?"
     return getattr(error, "strerror", None) or str(error)
 
 

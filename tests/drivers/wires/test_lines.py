@@ -8,11 +8,12 @@ import time
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from pmabench_drivers.serial_ascii import LineReader, number, pattern_problem, read_options
+from pmabench_drivers.serial_ascii import LineReader, SerialIndicator, number, pattern_problem, read_options
 from pmabench_drivers.shared.options import Reader
 from pmabench_drivers.shared.serial_port import Splitter, Unreadable, Wrong
 
-from tests.drivers.wires.rigs import cell
+from pmabench.base.clock import RealClock
+from tests.drivers.wires.rigs import cell, gauge
 
 
 def reader(**changes):
@@ -209,3 +210,22 @@ def test_whatever_pattern_is_taken_reads_hostile_lines_in_bounded_time():
             slowest = max(slowest, time.process_time() - start)
     assert taken > 100
     assert slowest < 1.0
+
+
+@pytest.mark.parametrize(
+    ("sent", "times", "said"), [(200, 1, "200"), (100, 2, "200"), (100, 1, ""), (120, 1, ""), (50, 1, "")]
+)
+def test_lines_that_come_more_often_than_the_bench_file_says_end_the_run(sent, times, said):
+    """Lines of one piece are dated back by `rate`: at 200 lines a second behind an adapter of 16 ms by up to 6 ms too far.
+
+    An indicator set to twice the rate, and one that sends each line twice, were recorded without a word.
+    """
+    device, piece, seconds, adapter = SerialIndicator(gauge("/dev/none"), RealClock()), b"", 6, 0.016
+    arrives = adapter
+    for line in range(seconds * sent):
+        if line / sent > arrives:
+            device._listen(piece, arrives)
+            piece, arrives = b"", arrives + adapter * math.ceil((line / sent - arrives) / adapter)
+        piece += b"+012.345mm\r\n" * times
+    failure = str(device._failure or "")
+    assert (said in failure and "100 Hz" in failure) if said else not failure

@@ -9,6 +9,7 @@ import time
 
 import pytest
 from pmabench_drivers.serial_ascii import SerialIndicator
+from pmabench_drivers.shared.serial_port import SerialPort
 
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError
@@ -219,6 +220,21 @@ def test_a_port_that_takes_nothing_ends_in_time(tmp_path):
     finally:
         os.close(near)
         os.close(far)
+
+
+def test_a_port_that_is_not_there_or_no_longer_is_said_once_with_what_to_do(tmp_path):
+    """The path stood there three times, and of a plug that was pulled out "returned no data (... multiple access?)"."""
+    hint, missing = "is it plugged in, and still at this address?", str(tmp_path / "nothing")
+    with pytest.raises(DeviceError) as raised:
+        SerialIndicator(cell(missing), RealClock()).open()
+    assert str(raised.value) == f"cell: cannot open {missing}: No such file or directory: {hint}"
+    near, far = os.openpty()
+    port = SerialPort("cell", os.ttyname(far), 9600, RealClock())
+    os.close(near)
+    with contextlib.closing(port), pytest.raises(DeviceError) as raised:
+        port.receive(bool, 1.0)
+    os.close(far)
+    assert str(raised.value).endswith(f": Input/output error: {hint}")
 
 
 def test_who_it_is_can_be_asked(tmp_path):
