@@ -5,11 +5,13 @@ import json
 from dataclasses import replace
 from math import radians
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from pmabench.kinds.isometric_pressurisation import braid as section
+from pmabench.kinds.isometric_pressurisation import sections
 from pmabench.kinds.isometric_pressurisation.braid import SECTION
 from pmabench.kinds.isometric_pressurisation.reduction import (
     METHOD,
@@ -345,3 +347,13 @@ def test_a_zero_of_each_day_is_in_k_where_each_day_has_a_contraction_of_its_own(
     assert abs(found[1e5].value - K) > 50
     assert all(abs(e.value - K) < e.parts.combined < 0.05 * K for e in found.values())
     assert all(e.parts.combined < 0.01 * K for e in whole.values()), "each day has its zero in all forces"
+
+
+@pytest.mark.parametrize(("unit", "fewest", "most"), [(1.0, 12, 12), (1e3, 50, 60)])
+def test_a_pressure_in_a_wrong_unit_is_not_evaluated_at_ten_thousand_places(unit, fewest, most):
+    """600 kPa as 600 MPa took minutes."""
+    cell = SimpleNamespace(mean=SimpleNamespace(P=unit * np.array([0.0, 590e3, 600e3])))
+    found = sections.pressures([cell])
+    assert fewest <= len(found) <= most
+    assert found[-1] <= 605e3 * unit
+    np.testing.assert_allclose(found / 50e3, np.round(found / 50e3), rtol=1e-12)

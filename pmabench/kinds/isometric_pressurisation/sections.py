@@ -26,8 +26,8 @@ from pmabench.kinds.isometric_pressurisation.curve import BEYOND, NEAR, Cell
 from pmabench.store.analyses.results import Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array
 
-GRID = 50e3
-"""Pressures at which F_ce and K are given are multiples of this [Pa]."""
+GRID, PLACES = 50e3, 60
+"""Pressures at which F_ce and K are given are multiples of this [Pa]; their largest number."""
 PULLS = 0.02
 """Least force, as a share of the largest of all, for a muscle to be used in a line over contractions."""
 APART = 1e-5
@@ -201,9 +201,13 @@ STEP = 0.02
 
 
 def pressures(cells: Sequence[Cell]) -> Array:
-    """Multiples of `GRID` up to the highest pressure of the tests [Pa], from the first one on."""
+    """Multiples of `GRID` up to the highest pressure of the tests [Pa], from the first one on; fewer where they were
+    more than `PLACES`, as after a wrong unit.
+    """
     top = max(float(1.5 * cell.mean.P[-1] - 0.5 * cell.mean.P[-2]) for cell in cells)
-    return GRID * np.arange(1, int(np.floor(top / GRID + 0.05)) + 1, dtype=np.float64)
+    count = int(np.floor(top / GRID + 0.05))
+    every = max(1, -(-count // PLACES))
+    return GRID * every * np.arange(1, count // every + 1, dtype=np.float64)
 
 
 def blocked_estimates(cells: Sequence[Cell], given: Mapping[str, float], scales: Scales) -> list[Estimate]:
