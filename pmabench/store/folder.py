@@ -227,6 +227,8 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     """The manifest; raises InvalidFile for what is not a run, is damaged, or was written by a newer pmabench."""
     if not folder.is_dir() or not (folder / MANIFEST).exists():
         why = "there is no such folder" if not folder.exists() else f"no {MANIFEST} in it"
+        if folder.exists() and folder.name.endswith(LATE):
+            why = f"it holds what the guard reported late; the run is {folder.name.removesuffix(LATE)}, next to it"
         raise invalid(folder, f"is not a run folder: {why}")
     raw = read_file(folder, MANIFEST, LARGEST)
     newer = re.search(rb'^ "schema": "pmabench\.run/(\d+)"', raw, re.MULTILINE)

@@ -209,12 +209,14 @@ def test_what_is_not_a_run_is_refused_in_one_sentence(tmp_path):
     (tmp_path / "file").write_text("x")
     (tmp_path / "empty").mkdir()
     (tmp_path / "blank").mkdir()
+    (tmp_path / "run_1a2b.late").mkdir()
     (tmp_path / "blank" / "manifest.json").write_bytes(b"")
     said = {
         "nothing": "is not a run folder: there is no such folder",
         "file": "is not a run folder: no manifest.json in it",
         "empty": "is not a run folder: no manifest.json in it",
         "blank": "is empty",
+        "run_1a2b.late": "the guard reported late; the run is run_1a2b, next to it",
     }
     for name, sentence in said.items():
         for read in (open_run, read_stream):

@@ -198,11 +198,8 @@ class Flow:
         self._period = self._behind = 0.0
         self._window: list[float] = []
         self._begun = self._before = -math.inf
-
-    @property
-    def rate(self) -> float:
-        """Lines a second, as measured in the first seconds; 0 until then."""
-        return (1 + FEWER) / self._period if self._period else 0.0
+        self.rate, self._count, self._since = 0.0, 0, 0.0
+        """Lines a second, measured anew every `LEARNS` seconds after the first ones; 0 until then."""
 
     def behind(self, now: float) -> float:
         """Lag of the lines [s] when one arrives at `now` [s]; 0 if within `slip`."""
@@ -214,7 +211,11 @@ class Flow:
             if len(settled) > ENOUGH:
                 self._period = (1 + FEWER) * (now - settled[0]) / (len(settled) - 1)
                 self._arrived, self._before = [], now
+                self.rate, self._since = (1 + FEWER) / self._period, now
             return 0.0
+        self._count += 1
+        if now - self._since >= LEARNS and self._count > ENOUGH:
+            self.rate, self._count, self._since = self._count / (now - self._since), 0, now
         self._behind = max(0.0, self._behind + now - self._before - self._period)
         self._before = now
         if not self._window:

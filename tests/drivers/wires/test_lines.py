@@ -213,19 +213,20 @@ def test_whatever_pattern_is_taken_reads_hostile_lines_in_bounded_time():
 
 
 @pytest.mark.parametrize(
-    ("sent", "times", "said"), [(200, 1, "200"), (100, 2, "200"), (100, 1, ""), (120, 1, ""), (50, 1, "")]
+    ("sent", "times", "since", "said"),
+    [(200, 1, 0, "200"), (100, 2, 0, "200"), (100, 2, 8, "rate"), (100, 1, 0, ""), (120, 1, 0, ""), (50, 1, 0, "")],
 )
-def test_lines_that_come_more_often_than_the_bench_file_says_end_the_run(sent, times, said):
+def test_lines_that_come_more_often_than_the_bench_file_says_end_the_run(sent, times, since, said):
     """Lines of one piece are dated back by `rate`: at 200 lines a second behind an adapter of 16 ms by up to 6 ms too far.
 
     An indicator set to twice the rate, and one that sends each line twice, were recorded without a word.
     """
-    device, piece, seconds, adapter = SerialIndicator(gauge("/dev/none"), RealClock()), b"", 6, 0.016
+    device, piece, seconds, adapter = SerialIndicator(gauge("/dev/none"), RealClock()), b"", 16, 0.016
     arrives = adapter
     for line in range(seconds * sent):
         if line / sent > arrives:
             device._listen(piece, arrives)
             piece, arrives = b"", arrives + adapter * math.ceil((line / sent - arrives) / adapter)
-        piece += b"+012.345mm\r\n" * times
+        piece += b"+012.345mm\r\n" * (times if line / sent >= since else 1)
     failure = str(device._failure or "")
     assert (said in failure and "100 Hz" in failure) if said else not failure
