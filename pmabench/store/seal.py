@@ -83,21 +83,15 @@ def _is_copy(part: Path, reader: LiveReader, source: mmap.mmap) -> bool:
     """Whether a Parquet file has the same bytes as the complete batches that `reader` found in `source`."""
     batches = islice(pa.ipc.open_stream(pa.py_buffer(source)), reader.batches)
     for table, again in zip_longest(_tables(batches, reader.schema), _row_groups(part)):
-        if table is None or again is None or not all(map(_same_bytes, table.columns, again.columns)):
+        if table is None or again is None or _bytes_of(table) != _bytes_of(again):
             return False
         _release(source)
     return True
 
 
-def _same_bytes(column: Any, again: Any) -> bool:
-    """Whether two columns have the same bytes, also where they are cut into other pieces."""
-    found, place = pa.py_buffer(raw_bytes(again.combine_chunks())), 0
-    for chunk in column.chunks:
-        piece = pa.py_buffer(raw_bytes(chunk))
-        if not found[place : place + piece.size].equals(piece):
-            return False
-        place += piece.size
-    return bool(place == found.size)
+def _bytes_of(table: Any) -> list[Any]:
+    """The bytes of each column, as buffers, which are equal where all bytes are."""
+    return [pa.py_buffer(raw_bytes(column.combine_chunks())) for column in table.columns]
 
 
 def _arrivals_of(file: Any) -> list[tuple[int, int]]:
@@ -106,19 +100,19 @@ def _arrivals_of(file: Any) -> list[tuple[int, int]]:
 
 
 def _tables(batches: Iterable[Any], schema: Any) -> Iterator[Any]:
-    """The batches as tables of GROUP rows, the last one shorter."""
+    """The batches as tables of GROUP rows, the last one shorter; each column in one piece."""
     waiting: list[Any] = []
     rows = 0
     for batch in batches:
         waiting.append(batch)
         rows += batch.num_rows
         if rows >= GROUP:
-            table = pa.Table.from_batches(waiting, schema)
+            table, waiting = pa.Table.from_batches(waiting, schema).combine_chunks(), []
             whole = rows - rows % GROUP
             yield from (table.slice(start, GROUP) for start in range(0, whole, GROUP))
             waiting, rows = table.slice(whole).to_batches(), rows - whole
     if rows:
-        yield pa.Table.from_batches(waiting, schema)
+        yield pa.Table.from_batches(waiting, schema).combine_chunks()
 
 
 def _row_groups(path: Path) -> Iterator[Any]:

@@ -403,9 +403,9 @@ def test_a_dead_run_is_closed_as_interrupted_with_all_that_is_whole(tmp_path):
     assert verify(folder) == []
 
 
-@pytest.mark.parametrize("what", ["time_ns", "pressure", "force", "flags", "a group", "rows", ""])
+@pytest.mark.parametrize("what", ["time_ns", "pressure", "force", "flags", "a column", "a group", "rows", ""])
 def test_samples_that_the_disk_returns_otherwise_stay_in_the_live_file(tmp_path, monkeypatch, what):
-    """One bit of the last row, a lost group or lost rows: the file that was written first remains; nothing: the other."""
+    """One bit of the last row, a lost column, group or row: the file that was written first remains; nothing: the other."""
     honest = seal._row_groups
 
     def returned(path):
@@ -413,6 +413,8 @@ def test_samples_that_the_disk_returns_otherwise_stay_in_the_live_file(tmp_path,
         last = tables.pop()
         if what == "rows":
             last = last.slice(0, len(last) - 1)
+        elif what == "a column":
+            last = last.drop_columns(["flags"])
         elif what in last.column_names:
             values = last[what].to_numpy().copy()
             values[-1:].view(np.uint8)[0] ^= 1
