@@ -25,7 +25,7 @@ def symbol_parts(text: str) -> list[tuple[str, str]]:
         base, sub = found["base"], found["sub"]
         rest = text[found.end() :]
         whole = found.start() == 0 and (rest.startswith(", ") or (rest[:1] in ("", "/") and base not in UNITS))
-        lone = whole or rest.startswith((" [", " = ", " over ", " and "))
+        lone = whole or rest.startswith((" [", " = ", " over ")) or re.match(r" and [a-z]", rest)
         if sub is None and base not in GREEK and not lone:
             continue
         if base == "psi" and not PSI.match(text, found.start()):

@@ -200,7 +200,7 @@ def test_it_comes_back_without_a_gap(browser, run):
                const c = new OffscreenCanvas(w, h).getContext('2d', {willReadFrequently: true});
                c.drawImage(canvas, 0, 0);
                let blank = 0;
-               for (let x = Math.round(0.75 * w); x < w - 16; x++) {
+               for (let x = Math.round(0.75 * w); x < w - 24; x++) {
                  const d = c.getImageData(x, 0, 1, h - 30).data;
                  let found = false;
                  for (let i = 0; i < d.length; i += 4) if (d[i + 3] > 100 && d[i + 2] - d[i] > 60) found = true;
