@@ -321,6 +321,8 @@ def _sentence(model: type[BaseModel], item: Any, found: Location) -> str:
     context = item.get("ctx", {})
     if kind == "extra_forbidden":
         known = [key for owner in _models_at(model, location[:-1]) for key in _annotations(owner)]
+        if name[:1].isdigit() and value is None:
+            return f'"{name}" begins a key of its own: write a number with a point, 10.5, not with a comma'
         return f'unknown key "{name}"{did_you_mean(name, known)}'
     if kind == "missing":
         return f'"{name}" is missing'

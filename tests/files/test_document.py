@@ -52,6 +52,12 @@ many:
     ]
 
 
+def test_a_decimal_comma_in_braces_is_called_that(tmp_path):
+    """`{pressure: 10,5 kPa}` is a pressure of 10, and a key "5 kPa"."""
+    found = problems(tmp_path, "name: x\ninner: {rate: 500 Hz, pressure: 10,5 kPa}\n")
+    assert '2:36 "5 kPa" begins a key of its own: write a number with a point, 10.5, not with a comma' in found
+
+
 def test_a_missing_key_is_named_at_its_parent(tmp_path):
     assert problems(tmp_path, "name: x\ninner:\n  pressure: 1 kPa\n") == ['3:3 "rate" is missing']
 
