@@ -70,6 +70,8 @@ class Series:
     """Shape of its marks; empty: a line."""
     half: Array | None = None
     """Half widths of the intervals: error bars of marks, band of a line; NaN: none."""
+    positive: bool = False
+    """Whether its intervals end at 0: the quantity is never below."""
     width: float = 1.3
     dashed: bool = False
     hollow: bool = False
@@ -83,6 +85,13 @@ class Series:
     """Whether the name is left of the first point: for lines that are farther apart at their beginning."""
     hidden: bool = False
     """Whether it is left out of the line of values below the chart."""
+
+    @property
+    def ends(self) -> tuple[Array, Array]:
+        """Lower and upper ends of the intervals; NaN where there is none."""
+        half = np.full(len(self.y), np.nan) if self.half is None else self.half
+        low = self.y - half
+        return np.where(self.y >= 0, np.maximum(low, 0.0), low) if self.positive else low, self.y + half
 
 
 @dataclass(frozen=True)
@@ -179,8 +188,7 @@ def limits(chart: Chart) -> tuple[float, float, float, float]:
     Bars of hollow marks may reach beyond: wide ones of another method would squash the others.
     """
     series = chart.shown or list(chart.series)
-    halves = [0.0 if s.half is None or (s.mark and s.hollow) else np.nan_to_num(s.half) for s in series]
-    ends = [s.y + way * half for s, half in zip(series, halves, strict=True) for way in (-1, 1)]
+    ends = [end for s in series for end in (s.y, *(() if s.mark and s.hollow else s.ends))]
     x0, x1 = _reach([*(s.x for s in series), *(one.ends for one in chart.levels if one.upright)], chart.log)
     y0, y1 = _reach([*ends, *(one.ends for one in chart.levels if not one.upright)], log=False)
     room = 0.06 * (y1 - y0)

@@ -177,9 +177,9 @@ def _band(frame: Axes, series: Series) -> list[str]:
     if series.mark or series.half is None or not np.isfinite(series.half).any():
         return []
     known = np.isfinite(series.half) & np.isfinite(series.y)
-    x, y, half = (values[known] for values in (series.x, series.y, series.half))
-    across, up = frame.at(x, y + half)
-    _, down = frame.at(x, y - half)
+    x, low, high = (values[known] for values in (series.x, *series.ends))
+    across, up = frame.at(x, high)
+    _, down = frame.at(x, low)
     whole = _path(np.append(across, across[::-1]), np.append(up, down[::-1]))
     return [f'<path d="{whole}z" fill="{series.color}" fill-opacity="0.16"/>']
 
@@ -263,10 +263,8 @@ def _marks(frame: Axes, series: Series) -> list[str]:
     if series.mark == ".":
         known = known & (np.arange(len(known)) % max(1, -(-len(known) // (STATIC // 2))) == 0)
     x, y = series.x[known], series.y[known]
-    halves = np.full(len(x), np.nan) if series.half is None else series.half[known]
     across, down = frame.at(x, y)
-    _, ups = frame.at(x, y + halves)
-    _, lows = frame.at(x, y - halves)
+    (_, lows), (_, ups) = (frame.at(x, end[known]) for end in series.ends)
     for place, up, low in zip(across, ups, lows, strict=True):
         if isfinite(up) and abs(low - up) > 2 * RADIUS:
             out.append(_rule(place, max(up, frame.top - 4), place, min(low, frame.bottom), series.color, 1.4))

@@ -345,14 +345,14 @@ def _chart(
     for n, (way, group) in enumerate(groups.items()):
         at = sorted(group, key=lambda member: member[1].at[over])
         variant, method = way[0], clean(way[1], 60)
-        first, theirs = way in primary, at[0][0].kind == PUBLISHED
+        first, theirs, positive = way in primary, at[0][0].kind == PUBLISHED, all(e.positive for _, e in at)
         x, y, half = _columns([e for _, e in at], over, unit)
         color = COLORS.get(at[0][1].symbol) or PALETTE[variants.index(variant) % len(PALETTE)]
         if theirs or (not first and len(variants) == 1):
             color = INK if theirs else PALETTE[n % len(PALETTE)]
         through = curve_of(at, over, unit.scale, x_unit.scale) if first else None
         if through is not None:
-            series.append(Series("", through[0], through[1], color, half=through[2], hidden=True))
+            series.append(Series("", through[0], through[1], color, half=through[2], positive=positive, hidden=True))
         if still and not (first or theirs):
             x = x + (others.index(way[1]) + 1) * ASIDE * float(np.ptp([e.at[over] for e in known])) / x_unit.scale
         name = method if theirs else variant
@@ -361,8 +361,8 @@ def _chart(
         label = name if len(variants) > 1 or theirs or (still and len(methods) > 1) else ""
         other = "" if first or theirs or still else method
         said = f"{name}, {other}" if other else name
-        hollow = not (first or theirs)
-        series.append(Series(label, x, y, color, "x" if theirs else "o", half, method=other, hollow=hollow, said=said))
+        drawn = Series(label, x, y, color, "x" if theirs else "o", half, positive, method=other, said=said)
+        series.append(replace(drawn, hollow=not (first or theirs)))
     values = sorted((e.value or 0.0) / unit.scale for e in known)
     zero = values[0] >= 0 and values[0] < 0.45 * values[-1]
     labels = x_unit.label(x_label), unit.label(", ".join(clean(s, 40) for s in symbols))
@@ -490,6 +490,8 @@ def _surface_chart(known: Sequence[Estimate], over: str, across: str, size: tupl
         x, y, half = _columns(mine, across, unit)
         name = f"{number(place / at_unit.scale)} {at_unit.unit}"
         series.append(Series("", x, y, blue(share), width=0.8, hidden=True))
-        series.append(Series(name, x, y, blue(share), "o", half, name_color=blue(max(share, READABLE))))
+        positive = all(e.positive for e in mine)
+        name_color = blue(max(share, READABLE))
+        series.append(Series(name, x, y, blue(share), "o", half, positive, name_color=name_color))
     zero = min(e.value or 0.0 for e in known) >= 0
     return Chart(point_head(across), unit.label(symbol_text(known[0].symbol)), tuple(series), *size, zero=zero)

@@ -320,6 +320,25 @@ def test_values_at_two_coordinates_are_drawn_over_that_with_more_places_each_oth
     assert {"P [kPa]", "x [mm]"} <= set(picture.table.columns)
 
 
+def test_a_bar_ends_at_0_where_the_table_cuts_the_interval():
+    """0.010 (0 to 0.049) had a bar down to -0.03."""
+    x, y, half = np.array([1.0, 2.0, 3.0]), np.array([0.01, 0.05, 0.06]), np.array([0.04, 0.02, 0.01])
+    cut, whole = (Series("", x, y, "#000", "o", half, positive) for positive in (True, False))
+    assert cut.ends[0].tolist() == pytest.approx([0.0, 0.03, 0.05])
+    assert cut.ends[1].tolist() == whole.ends[1].tolist() == pytest.approx([0.05, 0.07, 0.07])
+    least, most = chart.limits(Chart("x", "y", (cut,), zero=True))[2:]
+    assert (least, most) == (0.0, pytest.approx(0.07 * 1.06))
+    assert chart.limits(Chart("x", "y", (whole,)))[2] < -0.03
+    plain = samples.sine()
+    e = replace(
+        next(e for e in plain.estimates if e.symbol == "B"), value=10.0, parts=Parts(repeats=40.0), positive=True
+    )
+    places = ({"pressure": P} for P in (2e5, 3e5, 4e5))
+    analysis = replace(plain, estimates=tuple(replace(e, at=at) for at in places), traces=())
+    (drawn,) = [s for one in content_of([analysis], []).sheet.first for c in one.charts for s in c.series if s.mark]
+    assert drawn.positive
+
+
 def test_a_range_begins_at_0_where_a_unit_leaves_a_rounding_error():
     """ "Outside P 5.821e-14 to 360 kPa", of an imported command in mA."""
     plain = samples.sine()

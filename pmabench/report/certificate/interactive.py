@@ -21,7 +21,7 @@ from pmabench.plotting.drawing import level_names, rows_needed
 from pmabench.plotting.pictures import Picture
 from pmabench.plotting.svg import symbol_parts
 
-AS_THEY_ARE = ("color", "mark", "hollow", "width", "dashed", "method")
+AS_THEY_ARE = ("color", "mark", "hollow", "width", "dashed", "method", "positive")
 """Fields of a series that the script takes as they are."""
 FINE = 2e-4
 """Resolution of lines as a share of the range of their axis."""

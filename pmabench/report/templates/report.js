@@ -21,6 +21,11 @@
     return String(+(+value).toPrecision(5)).replace("-", "\u2212");
   }
 
+  function lower(s, i) {  // end of an interval
+    var end = s.y[i] - (s.half && s.half[i] || 0);
+    return s.positive && s.y[i] >= 0 ? Math.max(end, 0) : end;
+  }
+
   function pieces(text) {  // text cut into [words, lowered]
     var found = [], end = 0;
     text.replace(SYMBOL, function (all, base, sub, at) {
@@ -81,7 +86,7 @@
       s.x.forEach(function (x, i) {
         if (s.y[i] === null || x < low || x > high) return;
         var half = s.half && s.half[i] || 0;
-        ends.push(s.y[i] - half, s.y[i] + half);
+        ends.push(lower(s, i), s.y[i] + half);
       });
       if (!s.mark) [low, high].forEach(function (x) {  // a straight line may have no point between them
         for (var i = 1; i < s.x.length; i++)
@@ -110,7 +115,7 @@
       if (s.mark || !s.half) return;
       ctx.globalAlpha = 0.16; ctx.fillStyle = s.color; ctx.beginPath();
       for (var i = 0; i < s.x.length; i++) ctx[i ? "lineTo" : "moveTo"](X(s.x[i]), Y(s.y[i] + (s.half[i] || 0)));
-      for (i = s.x.length - 1; i >= 0; i--) ctx.lineTo(X(s.x[i]), Y(s.y[i] - (s.half[i] || 0)));
+      for (i = s.x.length - 1; i >= 0; i--) ctx.lineTo(X(s.x[i]), Y(lower(s, i)));
       ctx.fill(); ctx.globalAlpha = 1;
     });
     chart.levels.forEach(function (l) {
@@ -163,7 +168,7 @@
         var a = X(x), b = Y(s.y[i]), half = s.half && s.half[i], r = 3.2 * p;
         ctx.strokeStyle = s.color; ctx.fillStyle = s.hollow ? "#fff" : s.color; ctx.lineWidth = 1.6 * p;
         ctx.beginPath();
-        if (half) { ctx.moveTo(a, Y(s.y[i] - half)); ctx.lineTo(a, Y(s.y[i] + half)); ctx.stroke(); ctx.beginPath(); }
+        if (half) { ctx.moveTo(a, Y(lower(s, i))); ctx.lineTo(a, Y(s.y[i] + half)); ctx.stroke(); ctx.beginPath(); }
         if (s.hollow) ctx.lineWidth = 1.3 * p;
         mark(ctx, s, a, b, r);
       });
