@@ -159,7 +159,7 @@ COLORS = {"B_c": GREEN, "B_r": BROWN, "B": DARK}
 """Colours of symbols; all others are blue, or in turn where they share a panel."""
 HEIGHT, HIGHER = 118.0, 150.0
 """Heights of the panels of the certificate, and of those by two coordinates [pt]."""
-MOST, PANELS = 3, 2
+MOST = 3
 """Most panels of the certificate, and of those by two coordinates."""
 LETTERS = 98
 """Letters of a figure's title on one line of the certificate."""
@@ -464,14 +464,14 @@ def surface_picture(
     known = [e for e in every if e.method in own.values() and e.method == own.get(e.symbol, e.method)]
     if len({e.at[over] for e in known}) > len({e.at[across] for e in known}):
         over, across = across, over
-    order = [symbol for symbol in declared(analyses) if len([e for e in known if e.symbol == symbol]) > 1][:PANELS]
+    order = [symbol for symbol in declared(analyses) if len([e for e in known if e.symbol == symbol]) > 1][:MOST]
     if not order:
         return None
     width = (PAGE - GAP * (len(order) - 1)) / len(order)
     simulated = any(a.simulated for a in analyses)
     drawn = [[e for e in known if e.symbol == symbol] for symbol in order]
     shown_ones = [e for mine in drawn for e in mine]
-    names = " and ".join(f"{declared(analyses)[symbol].title} {symbol}" for symbol in order)
+    names = listed([f"{declared(analyses)[symbol].title} {symbol}" for symbol in order])
     title = f"{capital(names)} over {spoken(across)}, at each {spoken(over)}"
     size = width, HIGHER - less - _second_line(title)
     charts = tuple(_surface_chart(mine, over, across, size) for mine in drawn)
