@@ -417,7 +417,7 @@ class SafeState:
             wrong = "" if again and target not in self.unsettled else self._not_held(sent, now)
         if wrong is None:
             return sent
-        over = taken or way.done.is_set() or now - sent.since >= PATIENCE
+        over = taken or way.done.is_set() or now - sent.since >= (ANSWERS if again else PATIENCE)
         if wrong and not again:
             second = self._rescue(sent.action) if sent.rescue is None and (over or sent.call.behind) else None
             if second is not None:

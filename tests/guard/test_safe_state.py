@@ -13,7 +13,7 @@ from pmabench.bench.interface import ChannelRecord, DeviceRecord, SafeAction, Sc
 from pmabench.guard import course
 from pmabench.guard.guard import Guard, State
 from pmabench.guard.limits import refuse_outside
-from pmabench.guard.owner import Direct, Owner
+from pmabench.guard.owner import Call, Direct, Owner
 from pmabench.guard.safe import LINGERS, STAYS
 from tests.guard.rig import BENCH, DEVICE, DRIVE, DRIVER, OUTPUT, SAFE, Plain, Rig, armed, bench, opened
 
@@ -735,6 +735,31 @@ def test_a_device_that_is_busy_is_asked_a_second_time_before_its_line_is_closed(
         vent = advance(guard, 0.1, LOW)
     assert vent.result == result
     assert guard.state is State.TRIPPED
+
+
+def test_a_repeat_that_is_answered_after_others_of_its_device_counts_as_busy(monkeypatch):
+    """A driver asks a busy device for 0.18 s, and two commands after each other for 0.37 s: that was no answer, the
+    repeats fed the watchdog until the wait was over, and the muscle was full for 4 s in place of 2.
+    """
+    guard, _ = armed(bench(replace(DEVICE, outputs=(OUTPUT,)), safe_state=SAFE[1:]))
+    guard.set("pressure", 300e3)
+    waiting: list[tuple[float, Call]] = []
+
+    def submit(_device, act):
+        waiting.append((guard.clock.now(), Call(act)))
+        return waiting[-1][1]
+
+    monkeypatch.setattr(guard.links, "submit", submit)
+    monkeypatch.setattr(guard, "_rescue", lambda _action: None)
+    guard.begin_safe()
+    took = 0
+    while not guard._given_up and took < 60:
+        advance(guard, 0.05, {})  # its gauge is silent, too
+        took += 1
+        for call in (call for since, call in waiting if guard.clock.now() - since >= 0.37 and not call.done.is_set()):
+            call.error = Busy("dac", "exception 6")
+            call.done.set()
+    assert took * 0.05 < 1.5
 
 
 def test_a_device_that_stays_busy_without_a_watchdog_is_opened_again():
